@@ -1,0 +1,69 @@
+"""What can go wrong, as a tree.
+
+    BoxliftError
+    ├── InputError            wrong input: names the field, the value and the remedy
+    │   ├── CalibrationError  not numbers, missing, singular
+    │   ├── PointCloudError   truncated, unreadable, nothing finite in it
+    │   ├── ImageError        not a picture, wrong size
+    │   ├── PromptError       prompts that cannot be read (one unusable prompt is a result, no error)
+    │   ├── LabelFormatError  a label file that does not follow its format
+    │   ├── DatasetError      folders or frames that are not there
+    │   └── OptionsError      settings that do not exist or are out of range
+    └── MissingExtraError     a part of boxlift whose dependencies are not installed
+"""
+
+from __future__ import annotations
+
+
+class BoxliftError(Exception):
+    """Base of every error that boxlift raises on purpose."""
+
+
+class InputError(BoxliftError):
+    """Wrong input. `field` is where, `problem` what is wrong with which value, `remedy` what to do."""
+
+    def __init__(self, field: str, problem: str, remedy: str) -> None:
+        self.field = field
+        self.problem = problem
+        self.remedy = remedy
+        super().__init__(field, problem, remedy)
+
+    def __str__(self) -> str:
+        return f"{self.field}: {self.problem} {self.remedy}"
+
+
+class CalibrationError(InputError):
+    """The calibration is missing, not numeric or singular."""
+
+
+class PointCloudError(InputError):
+    """The point cloud is truncated, of an unknown format or has no finite point."""
+
+
+class ImageError(InputError):
+    """The image cannot be decoded or has the wrong size."""
+
+
+class PromptError(InputError):
+    """The prompts, or their masks, cannot be read as a whole."""
+
+
+class LabelFormatError(InputError):
+    """A label file does not follow its format."""
+
+
+class DatasetError(InputError):
+    """A dataset folder or a frame in it is not there."""
+
+
+class OptionsError(InputError):
+    """A setting does not exist or has a value out of range."""
+
+
+class MissingExtraError(BoxliftError, ImportError):
+    """A dependency of an optional part is not installed."""
+
+    def __init__(self, module: str, extra: str) -> None:
+        self.module = module
+        self.extra = extra
+        super().__init__(f"{module} is not installed; install it with: pip install 'boxlift[{extra}]'.")

@@ -1,0 +1,1 @@
+"""One file per foreign format; their conventions exist nowhere else."""

@@ -1,0 +1,148 @@
+"""What goes into a labeller and what comes out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boxlift.boxes import Boxes3D
+from boxlift.camera import Calibration
+from boxlift.errors import ImageError, PointCloudError, PromptError
+
+
+@dataclass(frozen=True)
+class Prompt:
+    """A 2D object to be lifted: class name, box (x1, y1, x2, y2) in pixels, score of its detector.
+
+    Whether a prompt can be used (known class, box not empty and inside the image) is found out by the
+    labeller and told in its result; a prompt itself never raises.
+    """
+
+    category: str
+    box_px: tuple[float, float, float, float]
+    score: float = 1.0
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One moment of one camera and one LiDAR.
+
+    name: any name; together with a prompt's index it seeds every random choice.
+    points_velo: (N, 3+) finite float points in the LiDAR frame, metres; further columns are ignored.
+    image_size_px: (width, height).
+    prompts: what to label.
+    image: (H, W, 3) uint8 RGB, where there is one.
+    instance_ids: (H, W) unsigned integers where there are masks: prompt index + 1, 0 is no object.
+
+    Raises PointCloudError, ImageError or PromptError where an array has the wrong shape.
+    """
+
+    name: str
+    points_velo: NDArray[np.floating]
+    calibration: Calibration
+    image_size_px: tuple[int, int]
+    prompts: tuple[Prompt, ...] = ()
+    image: NDArray[np.uint8] | None = None
+    instance_ids: NDArray[np.unsignedinteger] | None = None
+
+    def __post_init__(self) -> None:
+        if self.points_velo.ndim != 2 or self.points_velo.shape[1] < 3:
+            raise PointCloudError(
+                "points", f"the array has shape {self.points_velo.shape}.", "Give one row x, y, z per point."
+            )
+        width, height = self.image_size_px
+        if self.image is not None and self.image.shape != (height, width, 3):
+            raise ImageError(
+                "image",
+                f"the array has shape {self.image.shape}, image_size is {width} x {height}.",
+                "Give an RGB image of that size.",
+            )
+        if self.instance_ids is not None and self.instance_ids.shape != (height, width):
+            mask_height, mask_width = self.instance_ids.shape[:2]
+            raise PromptError(
+                "masks",
+                f"the mask image is {mask_width} x {mask_height}, the image {width} x {height} pixels.",
+                "Give masks of the image's size.",
+            )
+
+
+class Result(Enum):
+    """How one prompt ended; the value is the sentence that a user reads (some with values to fill in)."""
+
+    FITTED = "A box was fitted."
+    UNKNOWN_CLASS = "The class {category!r} has no size prior (known: {known})."
+    BAD_BOX = "The 2D box {box} has no area or is not finite; x2 > x1 and y2 > y1 are needed."
+    BOX_OUTSIDE_IMAGE = "The 2D box {box} lies outside the image ({width} x {height} pixels)."
+    EMPTY_MASK = "The mask of this prompt has no pixel inside its 2D box."
+    TOO_FEW_POINTS = "Too few LiDAR points inside the 2D {region} ({found}, at least {needed} are needed)."
+    TOO_FEW_OBJECT_POINTS = (
+        "Too few LiDAR points left on the object after ground removal and clustering "
+        "({found} of {initial}, at least {needed} are needed)."
+    )
+
+
+@dataclass(frozen=True)
+class LossTerms:
+    """Means over the object points of the loss at the fitted box, metres; `total` is what was minimised."""
+
+    geometric: float
+    ray_tracing: float
+    center: float
+    total: float
+
+
+@dataclass(frozen=True)
+class PointCounts:
+    """Points left after each step, from the prompt's region to the points that the losses see."""
+
+    in_prompt: int = 0
+    above_ground: int = 0
+    in_cluster: int = 0
+    used: int = 0
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A box that was fitted and not chosen."""
+
+    box: Boxes3D
+    losses: LossTerms
+    reason: str
+
+
+@dataclass(frozen=True)
+class ObjectLabel:
+    """What became of one prompt: a box (`box` has length 1) or, with no box, the sentence why not."""
+
+    index: int
+    prompt: Prompt
+    result: Result
+    sentence: str
+    box: Boxes3D | None = None
+    score: float = 0.0
+    flags: tuple[str, ...] = ()
+    losses: LossTerms | None = None
+    points: PointCounts = field(default_factory=PointCounts)
+    rejected: tuple[Hypothesis, ...] = ()
+
+
+@dataclass(frozen=True)
+class FrameLabels:
+    """The labels of one frame: one entry per prompt, in the order of the prompts."""
+
+    frame_name: str
+    objects: tuple[ObjectLabel, ...]
+
+    @property
+    def fitted(self) -> Sequence[ObjectLabel]:
+        """The objects that have a box."""
+        return [label for label in self.objects if label.box is not None]
+
+    def counts(self) -> dict[str, int]:
+        """Objects per result name, e.g. {"FITTED": 4, "TOO_FEW_POINTS": 1}."""
+        names = [label.result.name for label in self.objects]
+        return {result.name: names.count(result.name) for result in Result if result.name in names}

@@ -1,0 +1,184 @@
+"""Every knob of the labeller, frozen, typed and documented once; CLI help and OpenAPI derive from here.
+
+`paper` follows Peng et al., "WeakM3D: Towards Weakly Supervised Monocular 3D Object Detection" (ICLR
+2022); each constant names its equation or section. `release` follows the authors' published code.
+Where both are silent the number is ours and says so.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from boxlift.errors import OptionsError
+
+
+class _Settings(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class GroundSettings(_Settings):
+    """RANSAC ground plane (paper, section 3.1 'Object-LiDAR-points'; Open3D)."""
+
+    remove: bool = Field(True, description="Remove ground points before clustering.")
+    inlier_distance_m: float = Field(
+        0.2, gt=0, le=2, description="Points this close to the plane are ground (ours)."
+    )
+    iterations: int = Field(200, ge=1, le=10_000, description="RANSAC iterations (ours).")
+    max_tilt_deg: float = Field(
+        15.0, gt=0, le=90, description="A plane steeper than this against the camera is a wall (ours)."
+    )
+
+
+class ObjectPointSettings(_Settings):
+    """From a prompt to object-LiDAR-points (paper, appendix 'Details of Object-LiDAR-points')."""
+
+    cluster_radius_m: float = Field(
+        0.8, gt=0, le=10, description="DBSCAN radius (release; the paper gives none)."
+    )
+    cluster_min_points: int = Field(
+        10, ge=1, le=1000, description="DBSCAN core point threshold (release; the paper gives none)."
+    )
+    min_points: int = Field(10, ge=3, le=1000, description="Objects with fewer points are refused (release).")
+    vertical_filter: Literal["median", "mid_range", "none"] = Field(
+        "median",
+        description="Keep points at or below this height of the cluster: the lower half (paper, appendix).",
+    )
+    vertical_filter_min_points: int = Field(
+        0, ge=0, le=1000, description="Clusters smaller than this keep all their points."
+    )
+    sample_count: int = Field(
+        100, ge=3, le=10_000, description="Object points sampled at random (paper, appendix)."
+    )
+    sample_with_replacement: bool = Field(False, description="Sample with replacement (release).")
+
+
+class HeadingSettings(_Settings):
+    """Heading from pair directions (paper, equation 7 and appendix 'Orientation Analysis')."""
+
+    bin_rad: float = Field(
+        0.1, gt=0, le=1, description="Histogram bin of the pair directions (release rounds to 0.1)."
+    )
+    fold_low_rad: float = Field(
+        0.7853981633974483, ge=0, le=1.5707963267948966, description="Lower end of the fold (pi/4, paper)."
+    )
+    x_extent_threshold_m: float = Field(3.0, gt=0, le=100, description="C in equation 7 (paper: 3 m).")
+    x_extent_of: Literal["used", "cluster"] = Field(
+        "used", description="Measure d_x on the points that are used (paper) or the whole cluster (release)."
+    )
+
+
+class LossSettings(_Settings):
+    """Balanced loss (paper, equations 2 to 5)."""
+
+    density_radius_m: float = Field(0.4, gt=0, le=10, description="R in equation 4 (paper: 0.4 m).")
+    balance_by_density: bool = Field(True, description="Divide by the density of equation 4.")
+    geometric_weight: float = Field(1.0, ge=0, le=100, description="Weight of equation 2 (paper: 1).")
+    ray_weight: float = Field(1.0, ge=0, le=100, description="Weight of equation 3 (paper: 1).")
+    center_weight: float = Field(0.1, ge=0, le=100, description="Lambda in equation 5 (paper: 0.1).")
+    center_norm: Literal["euclidean", "l1"] = Field("euclidean", description="Norm of the centre loss.")
+    ray_average: Literal["all", "hits"] = Field(
+        "all", description="Average the ray loss over all points (paper) or over hitting ones (release)."
+    )
+    ray_min_hits: int = Field(0, ge=0, le=1000, description="Fewer hits: no ray loss (release: 3).")
+    ray_min_depth_m: float = Field(
+        0.0, ge=0, le=100, description="Box centres up to this depth: no ray loss (release: 3 m)."
+    )
+    ray_origin: Literal["camera", "lidar"] = Field(
+        "camera", description="Where the rays of equation 3 start (paper: the camera's optical centre)."
+    )
+
+
+class FitSettings(_Settings):
+    """Minimisation over (x, z) with heading and size frozen."""
+
+    method: Literal["search", "adam"] = Field(
+        "search", description="Global search with refinement, or Adam from the points' centroid."
+    )
+    coarse_step_m: float = Field(0.25, gt=0.01, le=2, description="Grid step of the global search.")
+    candidates: int = Field(8, ge=1, le=100, description="Grid minima that are refined.")
+    final_step_m: float = Field(0.005, gt=1e-5, le=1, description="Step at which the refinement ends.")
+    adam_steps: int = Field(500, ge=1, le=100_000, description="Steps of Adam.")
+    adam_learning_rate: float = Field(0.05, gt=0, le=10, description="Learning rate of Adam, metres.")
+
+
+class ConsistencySettings(_Settings):
+    """Vertical position (paper, section 3.5 and 'Implementation Details': 2D-3D consistency)."""
+
+    y_from: Literal["used", "cluster"] = Field(
+        "used", description="Mean y of the points that are used (paper) or of the whole cluster (release)."
+    )
+    adjust_y: bool = Field(True, description="Fit y to the top and bottom edge of the prompt.")
+    adjust_x: bool = Field(False, description="Also fit x to the side edges (release).")
+    adjust_height: bool = Field(False, description="Also fit the height (release).")
+    max_shift_m: float | None = Field(
+        None, gt=0, le=10, description="Largest shift; unlimited where none (release: 0.3 m)."
+    )
+
+
+class LabellerSettings(_Settings):
+    """All settings of a Labeller."""
+
+    preset: str = Field("paper", description="Name of the preset these settings started from.")
+    ground: GroundSettings = GroundSettings()
+    points: ObjectPointSettings = ObjectPointSettings()
+    heading: HeadingSettings = HeadingSettings()
+    loss: LossSettings = LossSettings()
+    fit: FitSettings = FitSettings()
+    consistency: ConsistencySettings = ConsistencySettings()
+
+    def fingerprint(self) -> str:
+        """Sixteen hex digits that change when any setting does."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()[:16]
+
+    def with_options(self, options: dict[str, Any]) -> LabellerSettings:
+        """These settings with `options` laid over them, e.g. {"fit": {"method": "adam"}}.
+
+        Raises OptionsError where an option does not exist or is out of range.
+        """
+        try:
+            return LabellerSettings.model_validate(_overlay(self.model_dump(), options))
+        except ValidationError as error:
+            first = error.errors()[0]
+            name = ".".join(("options", *(str(part) for part in first["loc"])))
+            raise OptionsError(
+                name,
+                f"{first['msg']} (got {first['input']!r:.80}).",
+                "The settings page lists every option and its range.",
+            ) from None
+
+
+PAPER = LabellerSettings(preset="paper")
+
+RELEASE = LabellerSettings(
+    preset="release",
+    ground=GroundSettings(remove=False),
+    points=ObjectPointSettings(
+        vertical_filter="mid_range", vertical_filter_min_points=10, sample_with_replacement=True
+    ),
+    heading=HeadingSettings(fold_low_rad=0.39269908169872414, x_extent_threshold_m=4.0, x_extent_of="cluster"),
+    loss=LossSettings(
+        density_radius_m=0.2, center_norm="l1", ray_average="hits", ray_min_hits=3, ray_min_depth_m=3.0
+    ),
+    consistency=ConsistencySettings(y_from="cluster", adjust_x=True, adjust_height=True, max_shift_m=0.3),
+)
+
+PRESETS = {"paper": PAPER, "release": RELEASE}
+
+
+def preset(name: str) -> LabellerSettings:
+    """The settings of a preset by name. Raises OptionsError for a name that is none."""
+    try:
+        return PRESETS[name]
+    except KeyError:
+        raise OptionsError("preset", f"{name!r} is no preset.", f"Choose one of {sorted(PRESETS)}.") from None
+
+
+def _overlay(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        nested = isinstance(value, dict) and isinstance(merged.get(key), dict)
+        merged[key] = _overlay(merged[key], value) if nested else value
+    return merged
