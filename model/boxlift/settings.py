@@ -97,7 +97,9 @@ class FitSettings(_Settings):
     method: Literal["search", "adam"] = Field(
         "search", description="Global search with refinement, or Adam from the points' centroid."
     )
-    coarse_step_m: float = Field(0.25, gt=0.01, le=2, description="Grid step of the global search.")
+    grid_steps: int = Field(
+        13, ge=2, le=200, description="Grid steps from the points' centroid to each side of the search."
+    )
     candidates: int = Field(8, ge=1, le=100, description="Grid minima that are refined.")
     final_step_m: float = Field(0.005, gt=1e-5, le=1, description="Step at which the refinement ends.")
     adam_steps: int = Field(500, ge=1, le=100_000, description="Steps of Adam.")

@@ -1,0 +1,21 @@
+"""Heavy dependencies, imported where they are used; a missing one names the extra that brings it."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from boxlift.errors import MissingExtraError
+
+
+def open3d() -> Any:  # Open3D ships no types.
+    """The open3d module. Raises MissingExtraError, or an ImportError that names a system library."""
+    try:
+        return importlib.import_module("open3d")
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(error.name or "open3d", "label") from None
+    except ImportError as error:
+        raise ImportError(
+            f"Open3D is installed but a system library is missing ({error}). On Debian or Ubuntu: "
+            "apt-get install libusb-1.0-0 libgl1 libegl1 libgomp1 libx11-6"
+        ) from None

@@ -1,0 +1,84 @@
+"""The ground plane, by RANSAC (paper, section 3.1 'Object-LiDAR-points')."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boxlift.camera import Floats
+from boxlift.extras import open3d
+from boxlift.seeds import seed_of
+from boxlift.settings import GroundSettings
+
+# Open3D draws RANSAC samples from one generator per process.
+_OPEN3D_RANDOM = threading.Lock()
+# Walls can hold more points than the road; this many larger planes are set aside before giving up.
+_MAX_WALLS = 3
+
+
+@dataclass(frozen=True)
+class GroundPlane:
+    """Points p with up . p + offset = 0, rectified camera frame; `up` (3,) is the unit normal upwards."""
+
+    up: Floats
+    offset_m: float
+
+    def height_above(self, points_cam: NDArray[np.floating]) -> Floats:
+        """(N, 3) points -> (N,) signed heights above the plane, metres."""
+        heights: Floats = points_cam @ self.up + self.offset_m
+        return heights
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Which of the points (N,) are ground, and the plane, where one was found."""
+
+    is_ground: NDArray[np.bool_]
+    plane: GroundPlane | None
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a plane."""
+        return self.plane is not None
+
+
+def find_ground(points_cam: Floats, frame_name: str, settings: GroundSettings) -> Ground:
+    """Tell ground among the (N, 3) points of a frame; none of them where there is no plane or no wish."""
+    plane = fit_plane(points_cam, settings, seed_of(frame_name)) if settings.remove else None
+    if plane is None:
+        return Ground(np.zeros(len(points_cam), dtype=np.bool_), None)
+    return Ground(plane.height_above(points_cam) < settings.inlier_distance_m, plane)
+
+
+def fit_plane(points_cam: Floats, settings: GroundSettings, seed: int) -> GroundPlane | None:
+    """The largest plane among (N, 3) points that lies flat; None where there is none.
+
+    Walls are set aside: a plane that leans more than `max_tilt_deg` from the camera's horizontal.
+    The camera's y axis is taken as roughly vertical.
+    """
+    o3d = open3d()
+    flat = np.cos(np.deg2rad(settings.max_tilt_deg))
+    rest = points_cam
+    for _ in range(_MAX_WALLS + 1):
+        if len(rest) < 3:
+            return None
+        cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(rest))
+        with _OPEN3D_RANDOM:
+            o3d.utility.random.seed(seed)
+            # probability=1 switches off the early stop, whose moment depends on the number of threads.
+            plane, inliers = cloud.segment_plane(
+                settings.inlier_distance_m, ransac_n=3, num_iterations=settings.iterations, probability=1.0
+            )
+        normal = np.asarray(plane[:3])
+        length = float(np.linalg.norm(normal))
+        if not length > 0:
+            return None
+        sign = -1.0 if normal[1] > 0 else 1.0  # up is -y
+        up, offset_m = sign * normal / length, sign * float(plane[3]) / length
+        if -up[1] >= flat:
+            return GroundPlane(up, offset_m)
+        rest = np.delete(rest, np.asarray(inliers, dtype=np.intp), axis=0)
+    return None

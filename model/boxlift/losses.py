@@ -1,0 +1,149 @@
+"""The WeakM3D losses in the bird's-eye view: batched over objects and candidates, differentiable.
+
+Equations are those of Peng et al., "WeakM3D" (ICLR 2022). One implementation serves the fit, where
+thousands of candidate centres are tried per object, and network training, where gradients flow.
+
+Shapes: `...` is any leading shape, usually (objects,) or (candidates, objects); all arguments of a
+function broadcast over it. M is the number of points per object, padded where objects have fewer.
+
+    points_xz   (..., M, 2)  object-LiDAR-points as (x, z) in the rectified camera frame, metres
+    valid       (..., M)     bool, False where a point is padding
+    origin_xz   (..., 2)     where the rays start: the camera's optical centre, or the LiDAR's
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from boxlift.settings import LossSettings
+
+# Guards against division by zero; far below the millimetre that LiDAR resolves.
+_EPS = 1e-6
+
+
+@dataclass(frozen=True)
+class BevBoxes:
+    """Boxes in the bird's-eye view, any leading shape.
+
+    center_xz (..., 2) and length, width (...) in metres, rotation_y (...) in radians; the heading is
+    (cos, -sin) of rotation_y in (x, z).
+    """
+
+    center_xz: Tensor
+    length: Tensor
+    width: Tensor
+    rotation_y: Tensor
+
+    def to_box_frame(self, vectors_xz: Tensor) -> Tensor:
+        """(..., M, 2) vectors in camera axes -> the same along the box's length and width."""
+        cos, sin = torch.cos(self.rotation_y)[..., None], torch.sin(self.rotation_y)[..., None]
+        x, z = vectors_xz.unbind(-1)
+        return torch.stack([cos * x - sin * z, sin * x + cos * z], dim=-1)
+
+    @property
+    def half_extents(self) -> Tensor:
+        """(..., 1, 2) half length and half width, ready to broadcast over points."""
+        return torch.stack(torch.broadcast_tensors(self.length, self.width), dim=-1)[..., None, :] / 2
+
+
+class BalancedLoss(NamedTuple):
+    """Balanced loss of equation 5 and its unweighted, unbalanced means for the reader; all (...)."""
+
+    total: Tensor
+    geometric: Tensor
+    ray_tracing: Tensor
+    center: Tensor
+
+
+def geometric_alignment(points_xz: Tensor, boxes: BevBoxes) -> Tensor:
+    """L1 distance (..., M) from each point to where the ray from the box centre leaves the box (eq. 2).
+
+    A point exactly at the centre has no ray of its own; it is sent out through the side of the box.
+    """
+    offset = points_xz - boxes.center_xz[..., None, :]
+    across = torch.stack([torch.sin(boxes.rotation_y), torch.cos(boxes.rotation_y)], dim=-1)[..., None, :]
+    at_center = offset.abs().amax(-1, keepdim=True) < _EPS
+    offset = torch.where(at_center, _EPS * across, offset)
+    # The ray p = s * e leaves the box at e, where the larger of its two relative coordinates is one.
+    s = (boxes.to_box_frame(offset).abs() / boxes.half_extents).amax(-1)
+    return offset.abs().sum(-1) * (1 - 1 / s).abs()
+
+
+def ray_tracing(points_xz: Tensor, boxes: BevBoxes, origin_xz: Tensor) -> tuple[Tensor, Tensor]:
+    """L1 distance (..., M) from each point to the nearer hit of its ray on the box, and the hits (eq. 3).
+
+    The distance is 0 where the ray misses. From an origin inside the box the ray leaves through the
+    only side in front of it. The slab test of Kay and Kajiya (1986), in box coordinates.
+    """
+    start = boxes.to_box_frame((origin_xz - boxes.center_xz)[..., None, :])
+    ray_xz = points_xz - origin_xz[..., None, :]
+    ray = boxes.to_box_frame(ray_xz)
+    ray = torch.where(ray.abs() < _EPS, _EPS, ray)
+    half = boxes.half_extents
+    one, other = (-half - start) / ray, (half - start) / ray
+    near = torch.minimum(one, other).amax(-1)
+    far = torch.maximum(one, other).amin(-1)
+    hit = (near <= far) & (far > 0)
+    at = torch.where(near > 0, near, far)
+    distance = (at - 1).abs() * ray_xz.abs().sum(-1)
+    return torch.where(hit, distance, 0.0), hit
+
+
+def center_distance(points_xz: Tensor, boxes: BevBoxes, norm: str = "euclidean") -> Tensor:
+    """Distance (..., M) from each point to the box centre: Euclidean (paper) or L1 (release)."""
+    offset = points_xz - boxes.center_xz[..., None, :]
+    if norm == "l1":
+        return offset.abs().sum(-1)
+    squared = offset.square().sum(-1)
+    at_center = squared < _EPS**2
+    return torch.where(at_center, 0.0, torch.where(at_center, 1.0, squared).sqrt())
+
+
+def point_density(points_xz: Tensor, valid: Tensor, radius_m: float) -> Tensor:
+    """Points (..., M) closer than `radius_m` in the bird's-eye view, the point itself included (eq. 4).
+
+    At least 1 everywhere, so that padding never divides by zero.
+    """
+    squared = (points_xz[..., :, None, :] - points_xz[..., None, :, :]).square().sum(-1)
+    neighbours = (squared < radius_m**2) & valid[..., None, :]
+    return neighbours.sum(-1).clamp(min=1).to(points_xz.dtype)
+
+
+def balanced_loss(
+    points_xz: Tensor,
+    valid: Tensor,
+    boxes: BevBoxes,
+    origin_xz: Tensor,
+    settings: LossSettings,
+    density: Tensor | None = None,
+) -> BalancedLoss:
+    """The balanced loss (equation 5) of each box (...), averaged over its valid points.
+
+    `density` (..., M) may be given where many candidates share their points; else it is computed.
+    A box without any valid point has loss 0.
+    """
+    weight = valid.to(points_xz.dtype)
+    count = weight.sum(-1).clamp(min=1)
+    geometric = geometric_alignment(points_xz, boxes) * weight
+    distance, hit = ray_tracing(points_xz, boxes, origin_xz)
+    ray = distance * weight
+    center = center_distance(points_xz, boxes, settings.center_norm) * weight
+    if not settings.balance_by_density:
+        balance = torch.ones_like(weight)
+    elif density is None:
+        balance = point_density(points_xz, valid, settings.density_radius_m)
+    else:
+        balance = density
+
+    hits = (hit & valid).sum(-1)
+    ray_counts = (hits >= settings.ray_min_hits) & (boxes.center_xz[..., 1] > settings.ray_min_depth_m)
+    ray_points = hits.clamp(min=1) if settings.ray_average == "hits" else count
+    ray_scale = torch.where(ray_counts, settings.ray_weight / ray_points, 0.0)
+
+    pointwise = settings.geometric_weight * geometric + settings.center_weight * center
+    total = (pointwise / balance).sum(-1) / count + (ray / balance).sum(-1) * ray_scale
+    return BalancedLoss(total, geometric.sum(-1) / count, ray.sum(-1) / count, center.sum(-1) / count)
