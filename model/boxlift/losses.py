@@ -38,16 +38,15 @@ class BevBoxes:
     width: Tensor
     rotation_y: Tensor
 
-    def to_box_frame(self, vectors_xz: Tensor) -> Tensor:
-        """(..., M, 2) vectors in camera axes -> the same along the box's length and width."""
+    def to_box_frame(self, x: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
+        """Components (..., M) of vectors in camera axes -> along the box's length and across it."""
         cos, sin = torch.cos(self.rotation_y)[..., None], torch.sin(self.rotation_y)[..., None]
-        x, z = vectors_xz.unbind(-1)
-        return torch.stack([cos * x - sin * z, sin * x + cos * z], dim=-1)
+        return cos * x - sin * z, sin * x + cos * z
 
-    @property
-    def half_extents(self) -> Tensor:
-        """(..., 1, 2) half length and half width, ready to broadcast over points."""
-        return torch.stack(torch.broadcast_tensors(self.length, self.width), dim=-1)[..., None, :] / 2
+    def offset(self, points_xz: Tensor) -> tuple[Tensor, Tensor]:
+        """x and z (..., M) of the points (..., M, 2) as seen from the box centre."""
+        center = self.center_xz[..., None, :]
+        return points_xz[..., 0] - center[..., 0], points_xz[..., 1] - center[..., 1]
 
 
 class BalancedLoss(NamedTuple):
@@ -64,13 +63,14 @@ def geometric_alignment(points_xz: Tensor, boxes: BevBoxes) -> Tensor:
 
     A point exactly at the centre has no ray of its own; it is sent out through the side of the box.
     """
-    offset = points_xz - boxes.center_xz[..., None, :]
-    across = torch.stack([torch.sin(boxes.rotation_y), torch.cos(boxes.rotation_y)], dim=-1)[..., None, :]
-    at_center = offset.abs().amax(-1, keepdim=True) < _EPS
-    offset = torch.where(at_center, _EPS * across, offset)
+    x, z = boxes.offset(points_xz)
+    at_center = torch.maximum(x.abs(), z.abs()) < _EPS
+    x = torch.where(at_center, _EPS * torch.sin(boxes.rotation_y)[..., None], x)
+    z = torch.where(at_center, _EPS * torch.cos(boxes.rotation_y)[..., None], z)
+    along, across = boxes.to_box_frame(x, z)
     # The ray p = s * e leaves the box at e, where the larger of its two relative coordinates is one.
-    s = (boxes.to_box_frame(offset).abs() / boxes.half_extents).amax(-1)
-    return offset.abs().sum(-1) * (1 - 1 / s).abs()
+    s = torch.maximum(along.abs() * (2 / boxes.length[..., None]), across.abs() * (2 / boxes.width[..., None]))
+    return (x.abs() + z.abs()) * (1 - 1 / s).abs()
 
 
 def ray_tracing(points_xz: Tensor, boxes: BevBoxes, origin_xz: Tensor) -> tuple[Tensor, Tensor]:
@@ -79,26 +79,29 @@ def ray_tracing(points_xz: Tensor, boxes: BevBoxes, origin_xz: Tensor) -> tuple[
     The distance is 0 where the ray misses. From an origin inside the box the ray leaves through the
     only side in front of it. The slab test of Kay and Kajiya (1986), in box coordinates.
     """
-    start = boxes.to_box_frame((origin_xz - boxes.center_xz)[..., None, :])
-    ray_xz = points_xz - origin_xz[..., None, :]
-    ray = boxes.to_box_frame(ray_xz)
-    ray = torch.where(ray.abs() < _EPS, _EPS, ray)
-    half = boxes.half_extents
-    one, other = (-half - start) / ray, (half - start) / ray
-    near = torch.minimum(one, other).amax(-1)
-    far = torch.maximum(one, other).amin(-1)
+    starts = boxes.to_box_frame(*boxes.offset(origin_xz[..., None, :]))
+    ray_x, ray_z = (points_xz - origin_xz[..., None, :]).unbind(-1)
+    rays = boxes.to_box_frame(ray_x, ray_z)
+    enter, leave = [], []
+    for start, ray, extent in zip(starts, rays, (boxes.length, boxes.width), strict=True):
+        inverse = 1 / torch.where(ray.abs() < _EPS, _EPS, ray)
+        half = extent[..., None] / 2
+        middle, reach = -start * inverse, half * inverse.abs()
+        enter.append(middle - reach)
+        leave.append(middle + reach)
+    near, far = torch.maximum(*enter), torch.minimum(*leave)
     hit = (near <= far) & (far > 0)
     at = torch.where(near > 0, near, far)
-    distance = (at - 1).abs() * ray_xz.abs().sum(-1)
+    distance = (at - 1).abs() * (ray_x.abs() + ray_z.abs())
     return torch.where(hit, distance, 0.0), hit
 
 
 def center_distance(points_xz: Tensor, boxes: BevBoxes, norm: str = "euclidean") -> Tensor:
     """Distance (..., M) from each point to the box centre: Euclidean (paper) or L1 (release)."""
-    offset = points_xz - boxes.center_xz[..., None, :]
+    x, z = boxes.offset(points_xz)
     if norm == "l1":
-        return offset.abs().sum(-1)
-    squared = offset.square().sum(-1)
+        return x.abs() + z.abs()
+    squared = x * x + z * z
     at_center = squared < _EPS**2
     return torch.where(at_center, 0.0, torch.where(at_center, 1.0, squared).sqrt())
 
