@@ -67,7 +67,9 @@ def parse_line(line: str, where: str) -> KittiObject:
     except ValueError as error:
         raise LabelFormatError(where, f"{error} in {line!r:.120}.", "Columns 2 to 16 are numbers.") from None
     if not all(np.isfinite(numbers)):
-        raise LabelFormatError(where, f"a number is not finite in {line!r:.120}.", "Replace NaN and infinity.")
+        raise LabelFormatError(
+            where, f"a number is not finite in {line!r:.120}.", "Replace NaN and infinity."
+        )
     return KittiObject(
         category=columns[0],
         truncated=numbers[0],

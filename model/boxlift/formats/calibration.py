@@ -1,0 +1,211 @@
+"""Calibration files: KITTI's text and our JSON.
+
+KITTI text: one `KEY: numbers` a line. Read are the camera's projection (`P2`), `R0_rect` and
+`Tr_velo_to_cam`, also in the spellings of KITTI's raw and tracking data (`P_rect_02`, `R_rect`,
+`R_rect_00`, `Tr_velo_cam`; the colon may be missing). Other keys are skipped.
+
+JSON: {"P2": 3 x 4, "cam_T_velo": 4 x 4} or, in place of the latter, {"R0_rect": 3 x 3,
+"Tr_velo_to_cam": 3 x 4}; optionally "image_size": [width, height] in pixels. Other keys are errors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boxlift.camera import Calibration, Floats
+from boxlift.errors import CalibrationError
+from boxlift.formats.json_text import finite_number, parse_json
+
+SUFFIXES = (".txt", ".json")
+
+_LARGEST_IMAGE_SIDE_PX = 65_535
+_JSON_KEYS = ("P2", "cam_T_velo", "R0_rect", "Tr_velo_to_cam", "image_size")
+
+
+@dataclass(frozen=True)
+class ParsedCalibration:
+    """What a calibration file says; image_size_px is (width, height) where it says so."""
+
+    calibration: Calibration
+    image_size_px: tuple[int, int] | None = None
+
+
+def parse_calibration(data: bytes | str, field: str = "calib", camera: int = 2) -> ParsedCalibration:
+    """A calibration file's content -> calibration. What begins with { is JSON, else it is KITTI text.
+
+    `field` is what errors call the file; `camera` the number of KITTI's camera (P0 to P3), for text.
+    Raises CalibrationError that names key, value and remedy.
+    """
+    if isinstance(data, bytes):
+        try:
+            data = data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            raise CalibrationError(
+                field, "the data is not text.", "Give KITTI calibration text or JSON."
+            ) from None
+    if data.lstrip().startswith("{"):
+        return _parse_json(data, field)
+    return ParsedCalibration(_parse_kitti_text(data, field, camera))
+
+
+def read_calibration(path: Path, camera: int = 2) -> ParsedCalibration:
+    """parse_calibration for a file. Raises CalibrationError, also where the file cannot be opened."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise CalibrationError(
+            str(path), f"the file cannot be read ({error.strerror}).", "Check the path."
+        ) from None
+    return parse_calibration(data, str(path), camera)
+
+
+def to_kitti_text(calibration: Calibration) -> str:
+    """KITTI text with all of KITTI's keys; the rectification is the identity, as cam_SE3_velo holds it.
+
+    The four cameras are given the same projection.
+    """
+    rows = {f"P{camera}": calibration.image_P_cam for camera in range(4)}
+    rows["R0_rect"] = np.eye(3)
+    rows["Tr_velo_to_cam"] = calibration.cam_SE3_velo[:3]
+    rows["Tr_imu_to_velo"] = np.eye(4)[:3]
+    return "".join(
+        f"{key}: {' '.join(f'{n:.12e}' for n in matrix.ravel())}\n" for key, matrix in rows.items()
+    )
+
+
+def _parse_kitti_text(text: str, field: str, camera: int) -> Calibration:
+    lines: dict[str, list[str]] = {}
+    for line in text.splitlines():
+        words = line.replace(":", " ", 1).split()
+        if words:
+            lines[words[0]] = words[1:]
+
+    def matrix(keys: tuple[str, ...], shape: tuple[int, int]) -> Floats:
+        key = next((key for key in keys if key in lines), None)
+        if key is None:
+            found = f"its keys are {sorted(lines)[:12]}" if lines else "it is empty"
+            raise CalibrationError(
+                f"{field}.{keys[0]}",
+                f"the calibration has no line {keys[0]}: ({found:.200}).",
+                f"Add '{keys[0]}:' with {shape[0] * shape[1]} numbers.",
+            )
+        numbers = []
+        for word in lines[key]:
+            try:
+                numbers.append(float(word))
+            except ValueError:
+                raise CalibrationError(
+                    f"{field}.{key}", f"{word!r:.40} is not a number.", f"Give {shape[0] * shape[1]} numbers."
+                ) from None
+        if len(numbers) != shape[0] * shape[1]:
+            raise CalibrationError(
+                f"{field}.{key}",
+                f"the line has {len(numbers)} numbers.",
+                f"Give {shape[0] * shape[1]} numbers ({shape[0]} x {shape[1]}, row by row).",
+            )
+        return _finite(np.array(numbers).reshape(shape), f"{field}.{key}")
+
+    projection_keys = (f"P{camera}", f"P_rect_{camera:02d}")
+    image_P_cam = matrix(projection_keys, (3, 4))
+    rectification = matrix(("R0_rect", "R_rect", "R_rect_00"), (3, 3))
+    cam0_from_velo = matrix(("Tr_velo_to_cam", "Tr_velo_cam"), (3, 4))
+    return _calibration(
+        image_P_cam, _compose(rectification, cam0_from_velo), f"{field}.P{camera}", f"{field}.Tr_velo_to_cam"
+    )
+
+
+def _parse_json(text: str, field: str) -> ParsedCalibration:
+    values = parse_json(text, field, CalibrationError)
+    if not isinstance(values, dict):
+        raise CalibrationError(field, "the JSON is no object.", f"Give an object with {list(_JSON_KEYS)}.")
+    for key in values:
+        if key not in _JSON_KEYS:
+            raise CalibrationError(
+                f"{field}.{key:.40}",
+                f"the key {key!r:.40} is unknown.",
+                f"Known keys: {', '.join(_JSON_KEYS)}.",
+            )
+
+    def matrix(key: str, shape: tuple[int, int]) -> Floats:
+        where, remedy = f"{field}.{key}", f"Give {shape[0]} rows of {shape[1]} numbers."
+        if key not in values:
+            raise CalibrationError(where, f"the calibration has no {key}.", remedy)
+        rows = values[key]
+        if not isinstance(rows, list) or len(rows) != shape[0]:
+            raise CalibrationError(where, f"{rows!r:.80} has not {shape[0]} rows.", remedy)
+        numbers = np.empty(shape)
+        for r, row in enumerate(rows):
+            if not isinstance(row, list) or len(row) != shape[1]:
+                raise CalibrationError(f"{where}[{r}]", f"{row!r:.80} has not {shape[1]} numbers.", remedy)
+            for c, value in enumerate(row):
+                number = finite_number(value)
+                if number is None:
+                    raise CalibrationError(
+                        f"{where}[{r}][{c}]", f"{value!r:.40} is no finite number.", remedy
+                    )
+                numbers[r, c] = number
+        return numbers
+
+    image_P_cam = matrix("P2", (3, 4))
+    by_parts = [key for key in ("R0_rect", "Tr_velo_to_cam") if key in values]
+    if "cam_T_velo" in values:
+        if by_parts:
+            raise CalibrationError(
+                f"{field}.{by_parts[0]}",
+                f"{by_parts[0]} comes beside cam_T_velo.",
+                "Give cam_T_velo, or R0_rect with Tr_velo_to_cam.",
+            )
+        cam_SE3_velo, lidar_key = matrix("cam_T_velo", (4, 4)), "cam_T_velo"
+        if not np.allclose(cam_SE3_velo[3], (0, 0, 0, 1), atol=1e-9):
+            raise CalibrationError(
+                f"{field}.cam_T_velo[3]",
+                f"the last row is {cam_SE3_velo[3].tolist()}.",
+                "It must be [0, 0, 0, 1].",
+            )
+    elif by_parts:
+        cam_SE3_velo = _compose(matrix("R0_rect", (3, 3)), matrix("Tr_velo_to_cam", (3, 4)))
+        lidar_key = "Tr_velo_to_cam"
+    else:
+        raise CalibrationError(
+            f"{field}.cam_T_velo",
+            "the calibration does not say where the LiDAR is.",
+            "Give cam_T_velo (4 x 4), or R0_rect (3 x 3) with Tr_velo_to_cam (3 x 4).",
+        )
+    calibration = _calibration(image_P_cam, cam_SE3_velo, f"{field}.P2", f"{field}.{lidar_key}")
+    size = None if "image_size" not in values else _image_size(values["image_size"], f"{field}.image_size")
+    return ParsedCalibration(calibration, size)
+
+
+def _image_size(value: object, where: str) -> tuple[int, int]:
+    numbers = [finite_number(side) for side in value] if isinstance(value, list) else []
+    sides = [int(n) for n in numbers if n is not None and n == int(n) and 1 <= n <= _LARGEST_IMAGE_SIDE_PX]
+    if len(numbers) != 2 or len(sides) != 2:
+        raise CalibrationError(where, f"{value!r:.80} is no image size.", "Give [width, height] in pixels.")
+    return sides[0], sides[1]
+
+
+def _compose(rectification: Floats, cam0_from_velo: Floats) -> Floats:
+    """R0_rect @ Tr_velo_to_cam as a 4 x 4 matrix."""
+    cam_SE3_velo = np.eye(4)
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by _calibration
+        cam_SE3_velo[:3] = rectification @ cam0_from_velo
+    return cam_SE3_velo
+
+
+def _finite(matrix: NDArray[np.float64], where: str) -> Floats:
+    if not np.isfinite(matrix).all():
+        raise CalibrationError(where, f"{matrix.tolist()} is not finite.", "Replace NaN and infinity.")
+    return matrix
+
+
+def _calibration(image_P_cam: Floats, cam_SE3_velo: Floats, camera_key: str, lidar_key: str) -> Calibration:
+    """Calibration whose errors name the file's own keys."""
+    try:
+        return Calibration(image_P_cam, cam_SE3_velo)
+    except CalibrationError as error:
+        where = camera_key if error.field == "image_P_cam" else lidar_key
+        raise CalibrationError(where, error.problem, error.remedy) from None

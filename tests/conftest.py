@@ -1,0 +1,38 @@
+"""Where real frames and recorded values lie, when they lie anywhere: beside the checkout, optional."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+_SHARED = Path(__file__).resolve().parents[2] / "shared"
+_KITTI_OBJECT = _SHARED / "kitti" / "object"
+_ORACLE = _SHARED / "oracle"
+
+
+@pytest.fixture(scope="session")
+def kitti_object_root() -> Path:
+    """Root of real frames in KITTI object layout (the folder that holds training/)."""
+    if not (_KITTI_OBJECT / "training").is_dir():
+        pytest.skip("no real frames in ../shared/kitti/object")
+    return _KITTI_OBJECT
+
+
+@pytest.fixture(scope="session")
+def oracle_root() -> Path:
+    """Folder with the values that other implementations gave."""
+    if not _ORACLE.is_dir():
+        pytest.skip("no recorded values in ../shared/oracle")
+    return _ORACLE
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say once that tests on real frames did not run."""
+    missing = [
+        f"../shared/{path.relative_to(_SHARED)}" for path in (_KITTI_OBJECT, _ORACLE) if not path.is_dir()
+    ]
+    if missing:
+        terminalreporter.write_line(
+            f"Not there, so the tests that need them were skipped: {', '.join(missing)}"
+        )
