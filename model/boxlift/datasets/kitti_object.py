@@ -1,0 +1,22 @@
+"""One split of the KITTI object benchmark: velodyne/, calib/, image_2/, and label_2/ where it is labelled.
+
+Source: the KITTI object development kit's readme (Geiger et al., CVPR 2012).
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from boxlift.datasets.plain_folder import PlainFolder
+
+
+class KittiObjectFolder(PlainFolder):
+    """FrameSource for training/ or testing/: a plain folder whose frames are those of its calib/.
+
+    A frame whose point cloud is missing is still a frame; loading it says what is missing.
+    """
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of all frames, sorted."""
+        return tuple(sorted(self._points.keys() | self._images.keys() | self._calibrations.keys()))

@@ -1,0 +1,126 @@
+"""A plain folder of frames.
+
+    velodyne/STEM.bin (or .npy .npz .pcd .ply)   points in the LiDAR frame
+    calib/STEM.txt    (or .json)                 or one calib.txt / calib.json for all frames
+    image_2/STEM.png  (or .jpg .jpeg)            optional where the calibration says image_size
+
+Stems are any names. Where a stem has files of several suffixes, the first in the order above is taken.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+
+from boxlift.errors import DatasetError
+from boxlift.formats import calibration, image, point_cloud
+from boxlift.formats.calibration import ParsedCalibration
+from boxlift.frame import Frame, Prompt
+
+
+class PlainFolder:
+    """FrameSource for a folder that holds velodyne/ and calib/."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of all frames, sorted: every stem that has points or an image."""
+        return tuple(sorted(self._points.keys() | self._images.keys()))
+
+    def load(
+        self,
+        name: str,
+        prompts: tuple[Prompt, ...] = (),
+        *,
+        masks: Path | None = None,
+        with_image: bool = False,
+    ) -> Frame:
+        """See FrameSource.load."""
+        if name not in self._points and name not in self._images:
+            raise DatasetError(str(self.root), f"there is no frame {name!r}.", "See its velodyne/ for names.")
+        if name not in self._points:
+            raise DatasetError(
+                str(self.root / "velodyne"),
+                f"frame {name!r} has no LiDAR points.",
+                f"Add {name} with one of the suffixes {' '.join(point_cloud.SUFFIXES)}, or skip the frame.",
+            )
+        parsed = self._calibration(name)
+        image_path = self._images.get(name)
+        return Frame(
+            name=name,
+            points_velo=point_cloud.read_points(self._points[name]).points,
+            calibration=parsed.calibration,
+            image_size_px=self._image_size(name, image_path, parsed),
+            prompts=prompts,
+            image=image.decode_image(image_path, str(image_path)) if with_image and image_path else None,
+            instance_ids=None if masks is None else image.decode_instance_ids(*_mask_file(masks, name)),
+        )
+
+    @cached_property
+    def _points(self) -> dict[str, Path]:
+        return _by_stem(self.root / "velodyne", point_cloud.SUFFIXES)
+
+    @cached_property
+    def _images(self) -> dict[str, Path]:
+        return _by_stem(self.root / "image_2", image.SUFFIXES)
+
+    @cached_property
+    def _calibrations(self) -> dict[str, Path]:
+        return _by_stem(self.root / "calib", calibration.SUFFIXES)
+
+    @cached_property
+    def _calibration_for_all(self) -> ParsedCalibration | None:
+        paths = [self.root / f"calib{suffix}" for suffix in calibration.SUFFIXES]
+        return next((calibration.read_calibration(path) for path in paths if path.is_file()), None)
+
+    def _calibration(self, name: str) -> ParsedCalibration:
+        if name in self._calibrations:
+            return calibration.read_calibration(self._calibrations[name])
+        if self._calibration_for_all is not None:
+            return self._calibration_for_all
+        raise DatasetError(
+            str(self.root / "calib"),
+            f"frame {name!r} has no calibration.",
+            f"Add calib/{name}.txt or calib/{name}.json, or one calib.txt for all frames.",
+        )
+
+    def _image_size(self, name: str, image_path: Path | None, parsed: ParsedCalibration) -> tuple[int, int]:
+        if image_path is None:
+            if parsed.image_size_px is None:
+                raise DatasetError(
+                    str(self.root / "image_2"),
+                    f"frame {name!r} has no image, so the image's size is not known.",
+                    'Add its image, or a calibration as JSON with "image_size": [width, height].',
+                )
+            return parsed.image_size_px
+        size = image.image_size(image_path, str(image_path))
+        if parsed.image_size_px not in (None, size):
+            raise DatasetError(
+                str(image_path),
+                f"the image (width, height) is {size}, its calibration says {parsed.image_size_px}.",
+                "Give the calibration of this image.",
+            )
+        return size
+
+
+def _by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
+    """Files with one of the suffixes by stem; the earlier suffix wins. Hidden files are none."""
+    if not folder.is_dir():
+        return {}
+    found: dict[str, Path] = {}
+    paths = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.name[0] != "."]
+    for path in sorted(paths, key=lambda path: (suffixes.index(path.suffix.lower()), path.name)):
+        found.setdefault(path.stem, path)
+    return found
+
+
+def _mask_file(folder: Path, name: str) -> tuple[Path, str]:
+    """The frame's mask file, and how errors call it."""
+    path = folder / f"{name}.png"
+    if not path.is_file():
+        raise DatasetError(
+            str(path), f"frame {name!r} has no masks there.", "Add them as 16-bit PNG, or leave --masks out."
+        )
+    return path, str(path)

@@ -1,0 +1,109 @@
+"""Camera images and instance masks: PNG and JPEG by Pillow, sizes checked before pixels are decoded.
+
+An orientation that a JPEG carries (EXIF) is not applied: calibrations speak of the stored pixels.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boxlift.errors import ImageError, InputError, MissingExtraError, PromptError
+
+if TYPE_CHECKING:
+    from PIL import Image as PillowImage
+
+SUFFIXES = (".png", ".jpg", ".jpeg")
+
+# 64 megapixels: any camera that drives; 192 MB decoded.
+MAX_PIXELS = 64_000_000
+_REMEDY = "Give a PNG or JPEG image."
+
+
+def image_size(source: bytes | Path, field: str = "image", max_pixels: int = MAX_PIXELS) -> tuple[int, int]:
+    """(width, height) in pixels from the header of an encoded image or image file; no pixel is decoded.
+
+    Raises ImageError where it is no PNG or JPEG, or has more than `max_pixels`.
+    """
+    with _open(source, field, max_pixels, ImageError) as image:
+        return image.size
+
+
+def decode_image(
+    source: bytes | Path, field: str = "image", max_pixels: int = MAX_PIXELS
+) -> NDArray[np.uint8]:
+    """An encoded image or image file -> (H, W, 3) uint8 RGB; alpha is dropped.
+
+    Raises ImageError where it is no PNG or JPEG of 8 bits a channel, truncated or too large.
+    """
+    with _open(source, field, max_pixels, ImageError) as image:
+        if image.mode in ("I", "F") or image.mode.startswith("I;"):
+            raise ImageError(field, f"the image has mode {image.mode!r}.", "Give 8 bits a channel.")
+        _load(image, field, ImageError)
+        return np.array(image.convert("RGB"))
+
+
+def decode_instance_ids(
+    source: bytes | Path, field: str = "masks", max_pixels: int = MAX_PIXELS
+) -> NDArray[np.uint16]:
+    """A PNG with one channel of 16 or 8 bits (or a palette) -> (H, W) uint16: prompt index + 1, 0 is none.
+
+    Raises PromptError where it is something else.
+    """
+    with _open(source, field, max_pixels, PromptError) as image:
+        if image.format != "PNG" or not (image.mode in ("L", "P", "1", "I") or image.mode.startswith("I;16")):
+            raise PromptError(
+                field,
+                f"the masks are {image.format} of mode {image.mode!r}.",
+                "Give a 16-bit PNG with one channel: prompt index + 1, 0 for no object.",
+            )
+        _load(image, field, PromptError)
+        return np.array(image).astype(np.uint16)
+
+
+def _open(
+    source: bytes | Path, field: str, max_pixels: int, error_type: type[InputError]
+) -> PillowImage.Image:
+    try:
+        pillow = importlib.import_module("PIL.Image")
+    except ModuleNotFoundError:
+        raise MissingExtraError("pillow", "label") from None
+    try:
+        image: PillowImage.Image = pillow.open(
+            source if isinstance(source, Path) else io.BytesIO(source), formats=("PNG", "JPEG")
+        )
+    except pillow.UnidentifiedImageError:
+        raise error_type(field, f"{_described(source)} is no PNG or JPEG.", _REMEDY) from None
+    # Pillow's readers raise a dozen types for damaged headers (and for bombs beyond 179 megapixels).
+    except Exception as error:
+        raise error_type(field, f"the image cannot be opened ({error!s:.120}).", _REMEDY) from None
+    width, height = image.size
+    if width * height > max_pixels:
+        image.close()
+        raise error_type(
+            field,
+            f"the image has {width} x {height} pixels, more than {max_pixels}.",
+            "Give a smaller image (and scale its calibration alike).",
+        )
+    return image
+
+
+def _load(image: PillowImage.Image, field: str, error_type: type[InputError]) -> None:
+    try:
+        image.load()
+    # As above: truncated and damaged data surface as OSError, SyntaxError, ValueError, zlib.error, ...
+    except Exception as error:
+        raise error_type(
+            field, f"the image cannot be decoded ({error!s:.120}).", "The file is truncated or damaged."
+        ) from None
+
+
+def _described(source: bytes | Path) -> str:
+    return (
+        f"the file {source.name!r}" if isinstance(source, Path) else f"data that begins with {source[:8]!r}"
+    )
