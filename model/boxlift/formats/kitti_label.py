@@ -16,7 +16,7 @@ import numpy as np
 
 from boxlift.boxes import Boxes3D, alpha_from_rotation_y
 from boxlift.errors import LabelFormatError
-from boxlift.frame import FrameLabels, Prompt
+from boxlift.frame import FrameLabels, ObjectLabel, Prompt
 
 UNKNOWN_SIZE = (-1.0, -1.0, -1.0)
 UNKNOWN_LOCATION = (-1000.0, -1000.0, -1000.0)
@@ -43,18 +43,23 @@ class KittiObject:
         return min(self.size_hwl_m) > 0 and self.bottom_center_cam != UNKNOWN_LOCATION
 
     def to_line(self) -> str:
-        """The line as KITTI writes it: two decimals, four for the score."""
-        numbers = (
-            self.alpha,
-            *self.box_px,
-            *self.size_hwl_m,
-            *self.bottom_center_cam,
-            self.rotation_y,
-        )
-        columns = [self.category, f"{self.truncated:g}", str(self.occluded), *(f"{n:.2f}" for n in numbers)]
+        """The line as KITTI writes it: two decimals, four for the score, placeholders as integers."""
+        unknown = () if self.has_box3d else (*UNKNOWN_SIZE, *UNKNOWN_LOCATION, UNKNOWN_ANGLE)
+        columns = [
+            self.category,
+            _number(self.truncated, (-1.0,)),
+            str(self.occluded),
+            _number(self.alpha, (UNKNOWN_ANGLE,)),
+            *(_number(edge) for edge in self.box_px),
+            *(_number(n, unknown) for n in (*self.size_hwl_m, *self.bottom_center_cam, self.rotation_y)),
+        ]
         if self.score is not None:
             columns.append(f"{self.score:.4f}")
         return " ".join(columns)
+
+
+def _number(value: float, placeholders: tuple[float, ...] = ()) -> str:
+    return f"{value:.0f}" if value in placeholders else f"{value:.2f}"
 
 
 def parse_line(line: str, where: str) -> KittiObject:
@@ -144,13 +149,16 @@ def from_box3d(
     )
 
 
+def object_of(label: ObjectLabel) -> KittiObject | None:
+    """A prompt's label as a result line, None without a box; the 2D columns are the prompt's box."""
+    if label.box is None:
+        return None
+    return from_box3d(label.prompt.category, label.prompt.box_px, label.box, label.score)
+
+
 def objects_of(labels: FrameLabels) -> list[KittiObject]:
-    """The fitted objects of a frame as result lines; the 2D columns are the prompt's box."""
-    return [
-        from_box3d(label.prompt.category, label.prompt.box_px, label.box, label.score)
-        for label in labels.objects
-        if label.box is not None
-    ]
+    """The fitted objects of a frame as result lines."""
+    return [written for label in labels.objects if (written := object_of(label)) is not None]
 
 
 def prompts_of(objects: Iterable[KittiObject]) -> tuple[Prompt, ...]:

@@ -1,0 +1,191 @@
+"""Details of a labelled frame as JSON: the one schema of details/STEM.json and of the HTTP answer.
+
+Metres and radians are rounded to four decimals and pixels to two, so that the same labels are the same
+bytes. KITTI's own numbers are rounded as KITTI writes them.
+"""
+
+from __future__ import annotations
+
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field
+
+from boxlift.boxes import Boxes3D
+from boxlift.formats.kitti_label import KittiObject, object_of
+from boxlift.frame import FrameLabels, Hypothesis, LossTerms, ObjectLabel, PointCounts
+
+
+class _Details(BaseModel):
+    model_config = ConfigDict(frozen=True)
+
+
+class BoxDetails(_Details):
+    """A 3D box in the rectified camera frame (x right, y down, z forward), metres and radians."""
+
+    center_cam: tuple[float, float, float] = Field(description="Geometric centre, metres.")
+    length_m: float
+    width_m: float
+    height_m: float
+    rotation_y: float = Field(description="About the y axis in [-pi, pi); heading is (cos, 0, -sin) of it.")
+
+
+class KittiDetails(_Details):
+    """The same box in KITTI's conventions: location is the centre of the BOTTOM face."""
+
+    type: str
+    truncated: float = Field(description="-1: unknown.")
+    occluded: int = Field(description="-1: unknown.")
+    alpha: float = Field(description="Observation angle, radians.")
+    bbox: tuple[float, float, float, float] = Field(description="The prompt's box x1, y1, x2, y2, pixels.")
+    dimensions: tuple[float, float, float] = Field(description="Height, width, length, metres.")
+    location: tuple[float, float, float] = Field(description="Bottom centre x, y, z, metres.")
+    rotation_y: float
+    score: float
+
+
+class LossDetails(_Details):
+    """Loss terms at the box, means over the points that were used, metres."""
+
+    geometric: float
+    ray_tracing: float
+    center: float
+    total: float = Field(description="What was minimised.")
+
+
+class PointDetails(_Details):
+    """LiDAR points left after each step."""
+
+    in_prompt: int
+    above_ground: int
+    in_cluster: int
+    used: int
+
+
+class RejectedDetails(_Details):
+    """A box that was fitted and not chosen."""
+
+    reason: str
+    box: BoxDetails
+    losses: LossDetails
+
+
+class ObjectDetails(_Details):
+    """What became of one prompt."""
+
+    index: int = Field(description="Index of the prompt, from 0.")
+    category: str = Field(
+        serialization_alias="class",
+        validation_alias=AliasChoices("category", "class"),
+        description="Class of the prompt.",
+    )
+    prompt_box_px: tuple[float, float, float, float] = Field(description="x1, y1, x2, y2 of the prompt.")
+    prompt_score: float
+    result: str = Field(description="FITTED, or the name of the reason why there is no box.")
+    sentence: str = Field(description="The result as a sentence.")
+    score: float = Field(description="Confidence in the 3D box, 0 without one.")
+    flags: tuple[str, ...] = Field(description="What a reviewer should know about the box.")
+    box: BoxDetails | None
+    kitti: KittiDetails | None
+    losses: LossDetails | None
+    points: PointDetails
+    rejected: tuple[RejectedDetails, ...]
+
+
+class FrameDetails(_Details):
+    """What became of every prompt of a frame, in the order of the prompts."""
+
+    frame: str
+    objects: tuple[ObjectDetails, ...]
+
+
+def details_of(labels: FrameLabels) -> FrameDetails:
+    """Labels of a frame -> their details, rounded."""
+    return FrameDetails(
+        frame=labels.frame_name, objects=tuple(object_details_of(label) for label in labels.objects)
+    )
+
+
+def to_text(labels: FrameLabels) -> str:
+    """Labels of a frame -> the text of details/STEM.json. Same labels, same bytes."""
+    return details_of(labels).model_dump_json(by_alias=True, indent=2) + "\n"
+
+
+def parse_text(text: str | bytes) -> FrameDetails:
+    """The text of a details file -> its details. Raises pydantic's ValidationError."""
+    return FrameDetails.model_validate_json(text)
+
+
+def object_details_of(label: ObjectLabel) -> ObjectDetails:
+    """One prompt's label -> its details, rounded."""
+    written = object_of(label)
+    x1, y1, x2, y2 = (_rounded(edge, 2) for edge in label.prompt.box_px)
+    return ObjectDetails(
+        index=label.index,
+        category=label.prompt.category,
+        prompt_box_px=(x1, y1, x2, y2),
+        prompt_score=_rounded(label.prompt.score),
+        result=label.result.name,
+        sentence=label.sentence,
+        score=_rounded(label.score),
+        flags=label.flags,
+        box=None if label.box is None else _box(label.box),
+        kitti=None if written is None else _kitti(written),
+        losses=None if label.losses is None else _losses(label.losses),
+        points=_points(label.points),
+        rejected=tuple(_rejected(hypothesis) for hypothesis in label.rejected),
+    )
+
+
+def _rounded(value: float, decimals: int = 4) -> float:
+    """A plain Python float without a negative zero."""
+    return round(float(value), decimals) + 0.0
+
+
+def _box(box: Boxes3D) -> BoxDetails:
+    x, y, z = (_rounded(axis) for axis in box.center_cam[0])
+    return BoxDetails(
+        center_cam=(x, y, z),
+        length_m=_rounded(box.length_m[0]),
+        width_m=_rounded(box.width_m[0]),
+        height_m=_rounded(box.height_m[0]),
+        rotation_y=_rounded(box.rotation_y[0]),
+    )
+
+
+def _kitti(written: KittiObject) -> KittiDetails:
+    x1, y1, x2, y2 = (_rounded(edge, 2) for edge in written.box_px)
+    height, width, length = (_rounded(side, 2) for side in written.size_hwl_m)
+    x, y, z = (_rounded(axis, 2) for axis in written.bottom_center_cam)
+    return KittiDetails(
+        type=written.category,
+        truncated=written.truncated,
+        occluded=written.occluded,
+        alpha=_rounded(written.alpha, 2),
+        bbox=(x1, y1, x2, y2),
+        dimensions=(height, width, length),
+        location=(x, y, z),
+        rotation_y=_rounded(written.rotation_y, 2),
+        score=_rounded(written.score or 0.0),
+    )
+
+
+def _losses(losses: LossTerms) -> LossDetails:
+    return LossDetails(
+        geometric=_rounded(losses.geometric),
+        ray_tracing=_rounded(losses.ray_tracing),
+        center=_rounded(losses.center),
+        total=_rounded(losses.total),
+    )
+
+
+def _points(points: PointCounts) -> PointDetails:
+    return PointDetails(
+        in_prompt=points.in_prompt,
+        above_ground=points.above_ground,
+        in_cluster=points.in_cluster,
+        used=points.used,
+    )
+
+
+def _rejected(hypothesis: Hypothesis) -> RejectedDetails:
+    return RejectedDetails(
+        reason=hypothesis.reason, box=_box(hypothesis.box), losses=_losses(hypothesis.losses)
+    )
