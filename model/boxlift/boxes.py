@@ -1,11 +1,11 @@
 """The one 3D box of the house, as a struct of arrays.
 
-    Corners, seen along -y (from above; y points down), rotation_y = 0:
+Corners, seen along -y (from above; y points down), rotation_y = 0:
 
-              z
-              ^      1 ---------- 0          4 + i is the corner above corner i
-              |      |     o->    |          o is the centre, -> the heading (+x)
-              +--> x 2 ---------- 3
+          z
+          ^      1 ---------- 0          4 + i is the corner above corner i
+          |      |     o->    |          o is the centre, -> the heading (+x)
+          +--> x 2 ---------- 3
 """
 
 from __future__ import annotations
@@ -79,7 +79,11 @@ class Boxes3D:
         across = _CORNER_WIDTH * self.width_m[:, None]
         cos, sin = np.cos(self.rotation_y)[:, None], np.sin(self.rotation_y)[:, None]
         offsets = np.stack(
-            [cos * along + sin * across, _CORNER_HEIGHT * self.height_m[:, None], -sin * along + cos * across],
+            [
+                cos * along + sin * across,
+                _CORNER_HEIGHT * self.height_m[:, None],
+                -sin * along + cos * across,
+            ],
             axis=-1,
         )
         return self.center_cam[:, None, :] + offsets
@@ -114,7 +118,8 @@ class Boxes3D:
 def wrap_angle(angle_rad: Floats) -> Floats:
     """Any angle -> [-pi, pi)."""
     wrapped: Floats = (angle_rad + np.pi) % (2 * np.pi) - np.pi
-    return wrapped
+    # The remainder of a tiny negative number rounds up to the divisor itself.
+    return np.where(wrapped >= np.pi, -np.pi, wrapped)
 
 
 def alpha_from_rotation_y(rotation_y: Floats, center_cam: Floats) -> Floats:

@@ -94,7 +94,7 @@ class Calibration:
 def _finite_matrix(field: str, value: object, shape: tuple[int, int]) -> Floats:
     try:
         matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise CalibrationError(
             field, f"{value!r:.120} is not a matrix of numbers.", f"Give {shape[0]} x {shape[1]} numbers."
         ) from None
