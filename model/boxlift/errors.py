@@ -1,15 +1,16 @@
 """What can go wrong, as a tree.
 
-    BoxliftError
-    ├── InputError            wrong input: names the field, the value and the remedy
-    │   ├── CalibrationError  not numbers, missing, singular
-    │   ├── PointCloudError   truncated, unreadable, nothing finite in it
-    │   ├── ImageError        not a picture, wrong size
-    │   ├── PromptError       prompts that cannot be read (one unusable prompt is a result, no error)
-    │   ├── LabelFormatError  a label file that does not follow its format
-    │   ├── DatasetError      folders or frames that are not there
-    │   └── OptionsError      settings that do not exist or are out of range
-    └── MissingExtraError     a part of boxlift whose dependencies are not installed
+BoxliftError
+├── InputError            wrong input: names the field, the value and the remedy
+│   ├── CalibrationError  not numbers, missing, singular
+│   ├── PointCloudError   truncated, unreadable, nothing finite in it
+│   ├── ImageError        not a picture, wrong size
+│   ├── PromptError       prompts that cannot be read (one unusable prompt is a result, no error)
+│   ├── LabelFormatError  a label file that does not follow its format
+│   ├── DatasetError      folders or frames that are not there
+│   │   └── NoLidarError  a frame that has everything but points
+│   └── OptionsError      settings that do not exist or are out of range
+└── MissingExtraError     a part of boxlift whose dependencies are not installed
 """
 
 from __future__ import annotations
@@ -54,6 +55,10 @@ class LabelFormatError(InputError):
 
 class DatasetError(InputError):
     """A dataset folder or a frame in it is not there."""
+
+
+class NoLidarError(DatasetError):
+    """A frame has no LiDAR points, so that there is nothing to lift its prompts with."""
 
 
 class OptionsError(InputError):

@@ -12,7 +12,7 @@ from __future__ import annotations
 from functools import cached_property
 from pathlib import Path
 
-from boxlift.errors import DatasetError
+from boxlift.errors import DatasetError, NoLidarError
 from boxlift.formats import calibration, image, point_cloud
 from boxlift.formats.calibration import ParsedCalibration
 from boxlift.frame import Frame, Prompt
@@ -41,7 +41,7 @@ class PlainFolder:
         if name not in self._points and name not in self._images:
             raise DatasetError(str(self.root), f"there is no frame {name!r}.", "See its velodyne/ for names.")
         if name not in self._points:
-            raise DatasetError(
+            raise NoLidarError(
                 str(self.root / "velodyne"),
                 f"frame {name!r} has no LiDAR points.",
                 f"Add {name} with one of the suffixes {' '.join(point_cloud.SUFFIXES)}, or skip the frame.",

@@ -60,21 +60,27 @@ def open_source(root: Path) -> FrameSource:
     )
 
 
-def load_objects(labels: str | Path, source: FrameSource, name: str) -> list[KittiObject]:
-    """A frame's lines from KITTI text files.
+def find_labels(labels: str | Path, source: FrameSource) -> Path:
+    """The folder `labels` of KITTI text files: inside the source (`label_2`, `det_2d`), else as a path.
 
-    `labels` is a folder inside the source (`label_2`, `det_2d`) or any other folder of STEM.txt.
+    Raises DatasetError where there is none.
+    """
+    for folder in (source.root / labels, Path(labels)):
+        if folder.is_dir():
+            return folder
+    raise DatasetError(
+        str(labels),
+        f"there is no such folder, neither in {source.root} nor from here.",
+        "Give label_2, det_2d or a folder of KITTI text files.",
+    )
+
+
+def load_objects(labels: str | Path, source: FrameSource, name: str) -> list[KittiObject]:
+    """A frame's lines from the KITTI text files of `labels` (see find_labels).
+
     Raises DatasetError where folder or file is missing, LabelFormatError where a line is malformed.
     """
-    inside = source.root / labels
-    folder = inside if inside.is_dir() else Path(labels)
-    if not folder.is_dir():
-        raise DatasetError(
-            str(labels),
-            f"there is no such folder, neither in {source.root} nor from here.",
-            "Give label_2, det_2d or a folder of KITTI text files.",
-        )
-    path = folder / f"{name}.txt"
+    path = find_labels(labels, source) / f"{name}.txt"
     if not path.is_file():
         raise DatasetError(
             str(path), f"frame {name!r} has no such file.", "Add it (empty for no objects) or skip the frame."
