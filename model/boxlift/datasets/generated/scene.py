@@ -152,8 +152,8 @@ def _drive(plot: _Plot, factor: float) -> None:
     rng, lane = plot.rng, 1.75
     for across, turn in ((-lane, 0.0), (lane, np.pi)):
         x = rng.uniform(7, 35) if across < 0 else rng.uniform(-15, 25)
-        while x < 80:
-            if rng.random() < 0.55 * factor:
+        while x < 65:
+            if rng.random() < 0.4 * factor:
                 angle = turn + rng.normal(0, 0.03)
                 if rng.random() < 0.1:
                     angle += rng.uniform(-0.9, 0.9)
@@ -165,14 +165,14 @@ def _park(plot: _Plot, layout: Layout, factor: float) -> None:
     """Rows at the kerbs: along the road, or in bays at a right angle or aslant."""
     rng = plot.rng
     for side in (-1, 1):
-        filled = np.clip(rng.uniform(0.1, 0.85) * factor, 0, 1)
+        filled = np.clip(rng.uniform(0.0, 0.75) * factor, 0, 1)
         bays = layout == "car_park"
         if layout == "avenue":
-            filled *= 0.12
+            filled *= 0.15
         aslant = rng.choice([0.0, 0.0, 0.5])
         across = side * (plot.terrain.half_width_m - (2.7 if bays else 1.05))
         x = rng.uniform(-35, -28)
-        while x < 75:
+        while x < 55:
             crossing = float(plot.terrain.in_crossing(np.array(x))) > 0
             if rng.random() < filled and not crossing:
                 turn = (
@@ -206,8 +206,8 @@ def _cross(plot: _Plot, factor: float) -> None:
 def _walk_and_cycle(plot: _Plot, factor: float) -> None:
     """Pedestrians on the pavements, alone or in pairs, some crossing; cyclists at the edge of the road."""
     rng, edge = plot.rng, plot.terrain.half_width_m
-    for _ in range(rng.poisson(3.0 * factor)):
-        side, x = rng.choice([-1, 1]), rng.uniform(5, 55)
+    for _ in range(rng.poisson(1.8 * factor)):
+        side, x = rng.choice([-1, 1]), rng.uniform(5, 45)
         turn = rng.choice([0.0, np.pi]) + rng.normal(0, 0.25)
         across = side * (edge + rng.uniform(0.5, PAVEMENT_WIDTH_M - 0.3))
         if rng.random() < 0.2:
@@ -215,7 +215,7 @@ def _walk_and_cycle(plot: _Plot, factor: float) -> None:
         plot.place({"Pedestrian": 1.0}, x, across, turn)
         if rng.random() < 0.35:
             plot.place({"Pedestrian": 1.0}, x + rng.normal(0, 0.2), across + rng.choice([-0.8, 0.8]), turn)
-    for _ in range(rng.poisson(1.2 * factor)):
+    for _ in range(rng.poisson(0.8 * factor)):
         side, x = rng.choice([-1, 1]), rng.uniform(6, 50)
         across = side * (edge + rng.choice([-2.4, -0.6, 1.2]))
         turn = 0.0 if side < 0 else np.pi
@@ -277,7 +277,7 @@ def _footprint(center: tuple[float, float], heading_rad: float, size_m: tuple[fl
     """(4, 2) corners in order."""
     ahead = np.array([np.cos(heading_rad), np.sin(heading_rad)]) * size_m[0] / 2
     left = np.array([-np.sin(heading_rad), np.cos(heading_rad)]) * size_m[1] / 2
-    return np.asarray(np.array(center) + [ahead + left, ahead - left, -ahead - left, left - ahead])
+    return np.asarray(np.array([ahead + left, ahead - left, -ahead - left, left - ahead]) + center)
 
 
 def _overlap(one: Floats, other: Floats) -> bool:

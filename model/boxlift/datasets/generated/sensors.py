@@ -23,6 +23,8 @@ _CAM_AXES_OF_SCENE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.
 _GLASS_RETURNS, _GLASS_PASSES = 0.12, 0.38
 # Half the beams come back whose reflectance x cosine / range^2 is this: asphalt seen from 1.7 m at 45 m.
 _HALF_SIGNAL = 3.0e-6
+# A clear coat mirrors most of a beam away; what is left makes far and dark cars lose points as KITTI's do.
+_GLOSSY_SIGNAL = 0.06
 _LOST_ANYWAY = 0.015
 _FOLIAGE_DEPTH_M = 0.12
 
@@ -121,6 +123,7 @@ def scan(
     reflectance = caster.reflectance[face]
     cosine = np.abs((normal * directions).sum(axis=1))
     signal = reflectance * np.maximum(cosine, 1e-3) / np.maximum(range_m, 1) ** 2
+    signal *= np.where(caster.material[face] == Material.GLOSSY, _GLOSSY_SIGNAL, 1.0)
     seen &= chance[1] < (1 - _LOST_ANYWAY) * (1 - np.exp(-np.log(2) * signal / _HALF_SIGNAL))
 
     foliage = caster.material[face] == Material.FOLIAGE

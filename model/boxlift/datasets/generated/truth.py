@@ -16,9 +16,9 @@ from boxlift.datasets.generated.sensors import camera_rays, scene_to_cam, silhou
 from boxlift.formats.kitti_label import UNKNOWN_ANGLE, UNKNOWN_LOCATION, UNKNOWN_SIZE, KittiObject, from_box3d
 
 # KITTI's annotators had three words for occlusion; these shares of visible pixels are ours.
-_FULLY_VISIBLE, _PARTLY_VISIBLE = 0.85, 0.45
+_FULLY_VISIBLE, _PARTLY_VISIBLE = 0.88, 0.45
 # Less than this is a region that nobody should be judged by.
-_MIN_HEIGHT_PX, _MIN_VISIBLE, _MIN_PIXELS = 8.0, 0.03, 12
+_MIN_HEIGHT_PX, _MIN_VISIBLE, _MIN_PIXELS, _MAX_TRUNCATED = 8.0, 0.05, 12, 0.95
 _NEAR_PLANE_M = 0.1
 _SILHOUETTE_RAYS = 4000
 
@@ -49,15 +49,16 @@ def label(scene: Scene, rig: Rig, object_px: NDArray[np.int64]) -> Labelled:
             continue
         visible = float((alone & shown).sum() / alone.sum())
         box_px = (round(box[0], 2), round(box[1], 2), round(box[2], 2), round(box[3], 2))
+        truncated = round(1 - _area(box) / _area(uncut), 2)
         too_little = (
-            box[3] - box[1] < _MIN_HEIGHT_PX
+            truncated > _MAX_TRUNCATED
+            or box[3] - box[1] < _MIN_HEIGHT_PX
             or visible < _MIN_VISIBLE
             or int((object_px == index).sum()) < _MIN_PIXELS
         )
         if too_little:
             ignored.append(_dont_care(box_px))
             continue
-        truncated = round(1 - _area(box) / _area(uncut), 2)
         occluded = 0 if visible >= _FULLY_VISIBLE else 1 if visible >= _PARTLY_VISIBLE else 2
         lines.append(from_box3d(item.category, box_px, truth_box(item, rig), None, truncated, occluded))
         mask_number[index] = len(lines)
