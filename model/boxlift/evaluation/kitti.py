@@ -29,12 +29,17 @@ RecallPoints = Literal["R11", "R40"]
 PerDifficulty = tuple[float | None, float | None, float | None]
 
 _SAMPLES = 41  # N_SAMPLE_PTS
+FULL_CURVE_TRUTHS = _SAMPLES
 _RECALL_POINTS: dict[RecallPoints, slice] = {"R11": slice(0, None, 4), "R40": slice(1, None)}
 
 
 @dataclass(frozen=True)
 class AveragePrecision:
-    """Percent at [easy, moderate, hard]; None where there is no truth (or, for aos, no heading)."""
+    """Percent at [easy, moderate, hard]; None where there is no truth (or, for aos, no heading).
+
+    truths: how many had to be found. With fewer than `FULL_CURVE_TRUTHS` the samples of the benchmark's
+    curve cannot all be filled, and even perfect detections stay below 100.
+    """
 
     recall_points: RecallPoints
     iou_2d: float
@@ -44,6 +49,7 @@ class AveragePrecision:
     ap_bev: PerDifficulty
     ap_3d: PerDifficulty
     aos: PerDifficulty
+    truths: tuple[int, int, int]
 
 
 @dataclass(frozen=True)
@@ -93,6 +99,9 @@ class KittiBenchmark:
 
         of_class = self._detections.is_any_of([category])
         has_headings = bool(self._detections.has_heading[of_class].all())
+        easy, moderate, hard = (
+            int(_roles_of_truths(self._truths, category, difficulty)[0].sum()) for difficulty in DIFFICULTIES
+        )
         points: tuple[RecallPoints, ...] = ("R11", "R40")
         return tuple(
             AveragePrecision(
@@ -106,6 +115,7 @@ class KittiBenchmark:
                 aos=_per_difficulty(curves("2d", ious.iou_2d), recall_points, of_heading=True)
                 if has_headings
                 else (None, None, None),
+                truths=(easy, moderate, hard),
             )
             for ious in sets
             for recall_points in points

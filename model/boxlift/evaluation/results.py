@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from boxlift.evaluation.kitti import AveragePrecision
+from boxlift.evaluation.kitti import FULL_CURVE_TRUTHS, AveragePrecision
 from boxlift.evaluation.pseudo_labels import PseudoLabelQuality
 
 _JSON_DECIMALS = 4
@@ -36,6 +36,12 @@ class Evaluation:
         """Plain text, under 110 characters wide; classes without a truth are left out."""
         frames = "1 frame" if self.frame_count == 1 else f"{self.frame_count} frames"
         blocks = [f"KITTI average precision in %, {frames}", _precision_table(self.results)]
+        few = [name for name, entries in self.results.items() if _has_few_truths(entries)]
+        if few:
+            blocks.append(
+                f"Fewer than {FULL_CURVE_TRUTHS} truths at a difficulty of {', '.join(few)}: "
+                "there even perfect labels stay below 100."
+            )
         if any(group.truths for groups in self.pseudo_labels.values() for group in groups):
             blocks.append("\nLabels from 2D prompts: each truth against the box of its own prompt")
         for name, groups in self.pseudo_labels.items():
@@ -50,6 +56,10 @@ def _plain(value: object) -> object:
     if isinstance(value, (tuple, list)):
         return [_plain(item) for item in value]
     return round(value, _JSON_DECIMALS) if isinstance(value, float) else value
+
+
+def _has_few_truths(entries: Sequence[AveragePrecision]) -> bool:
+    return any(0 < count < FULL_CURVE_TRUTHS for entry in entries for count in entry.truths)
 
 
 def _precision_table(results: Mapping[str, Sequence[AveragePrecision]]) -> str:
@@ -88,7 +98,7 @@ def _pseudo_label_table(category: str, groups: Sequence[PseudoLabelQuality]) -> 
             *(f"3D{strict}", f"3D{loose}", "IoU 3D", "centre m", "yaw deg"),
         ],
     ]
-    for group in groups:
+    for group in (group for group in groups if group.truths):
         at_strict, at_loose = group.at_iou
         numbers = (
             *(at_strict.recall_bev, at_strict.recall_3d, at_loose.recall_bev, at_loose.recall_3d),
