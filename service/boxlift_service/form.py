@@ -1,0 +1,162 @@
+"""multipart/form-data as it streams in: known fields, each once, each within its size.
+
+Starlette's own form parser would spool files to disk, accept any field name and any end of the body;
+this one keeps the parts in memory (the body limit bounds them) and refuses at the first wrong byte.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from python_multipart.exceptions import FormParserError
+from python_multipart.multipart import MultipartParser, parse_options_header
+from starlette.requests import Request
+
+from boxlift_service.problems import Kind, ProblemError
+
+if TYPE_CHECKING:
+    from python_multipart.multipart import MultipartCallbacks
+
+
+@dataclass(frozen=True)
+class Part:
+    """One field of a form; filename where the client sent it as a file."""
+
+    data: bytes
+    filename: str | None = None
+
+
+@dataclass(frozen=True)
+class Field:
+    """A field that a form may have, and how large it may be."""
+
+    max_bytes: int
+    required: bool = False
+
+
+async def read_form(request: Request, fields: Mapping[str, Field]) -> dict[str, Part]:
+    """The parts of a request's form by name.
+
+    Raises ProblemError: not multipart (415), malformed (400), a part beyond its size (413), and a field that
+    is unknown, repeated or missing (422).
+    """
+    reader = _FormReader(_boundary(request), fields)
+    try:
+        async for chunk in request.stream():
+            reader.write(chunk)
+    except FormParserError as error:
+        raise _unreadable(f"The form is malformed ({error!s:.120}).") from None
+    return reader.finish()
+
+
+def _boundary(request: Request) -> bytes:
+    content_type = request.headers.get("content-type", "")
+    media_type, parameters = parse_options_header(content_type)
+    if media_type != b"multipart/form-data":
+        raise ProblemError(
+            Kind.UNSUPPORTED_MEDIA_TYPE,
+            f"The Content-Type is {content_type!r:.80}." if content_type else "There is no Content-Type.",
+            "Send multipart/form-data.",
+            headers={"Accept-Post": "multipart/form-data"},
+        )
+    if not parameters.get(b"boundary"):
+        raise _unreadable("The Content-Type names no boundary.")
+    return parameters[b"boundary"]
+
+
+def _unreadable(problem: str) -> ProblemError:
+    return ProblemError(Kind.UNREADABLE_BODY, problem, "Let an HTTP library build the form.")
+
+
+def _invalid(name: str, problem: str, remedy: str) -> ProblemError:
+    return ProblemError(Kind.INVALID_FIELD, problem, remedy, field=name)
+
+
+class _FormReader:
+    """Callbacks of the push parser, which reports headers and data piece by piece."""
+
+    def __init__(self, boundary: bytes, fields: Mapping[str, Field]) -> None:
+        callbacks: MultipartCallbacks = {
+            "on_part_begin": self._on_part_begin,
+            "on_header_field": self._on_header_field,
+            "on_header_value": self._on_header_value,
+            "on_header_end": self._on_header_end,
+            "on_headers_finished": self._on_headers_finished,
+            "on_part_data": self._on_part_data,
+            "on_part_end": self._on_part_end,
+            "on_end": self._on_end,
+        }
+        try:
+            self._parser = MultipartParser(boundary, callbacks)
+        except FormParserError as error:
+            raise _unreadable(f"The boundary is refused ({error!s:.120}).") from None
+        self._fields = fields
+        self._parts: dict[str, Part] = {}
+        self._complete = False
+        self._on_part_begin()
+
+    def write(self, chunk: bytes) -> None:
+        self._parser.write(chunk)
+
+    def finish(self) -> dict[str, Part]:
+        if not self._complete:
+            raise _unreadable("The form ends before its last boundary.")
+        for name, field in self._fields.items():
+            if field.required and name not in self._parts:
+                raise _invalid(name, f"The form has no field {name!r}.", "Add it.")
+        return self._parts
+
+    def _on_part_begin(self) -> None:
+        self._header_name = b""
+        self._header_value = b""
+        self._disposition = b""
+        self._name = ""
+        self._filename: str | None = None
+        self._data = bytearray()
+
+    def _on_header_field(self, data: bytes, start: int, end: int) -> None:
+        self._header_name += data[start:end]
+
+    def _on_header_value(self, data: bytes, start: int, end: int) -> None:
+        self._header_value += data[start:end]
+
+    def _on_header_end(self) -> None:
+        if self._header_name.lower() == b"content-disposition":
+            self._disposition = self._header_value
+        self._header_name = b""
+        self._header_value = b""
+
+    def _on_headers_finished(self) -> None:
+        _, parameters = parse_options_header(self._disposition)
+        if b"name" not in parameters:
+            raise _unreadable("A part of the form has no name in its Content-Disposition.")
+        self._name = parameters[b"name"].decode("utf-8", "replace")
+        if self._name not in self._fields:
+            known = ", ".join(self._fields)
+            raise _invalid(
+                self._name[:60], f"The field {self._name!r:.60} is unknown.", f"Known fields: {known}."
+            )
+        if self._name in self._parts:
+            raise _invalid(self._name, f"The field {self._name!r} comes twice.", "Send it once.")
+        if b"filename" in parameters:
+            self._filename = parameters[b"filename"].decode("utf-8", "replace")
+
+    def _on_part_data(self, data: bytes, start: int, end: int) -> None:
+        limit = self._fields[self._name].max_bytes
+        if len(self._data) + end - start > limit:
+            raise ProblemError(
+                Kind.TOO_LARGE,
+                f"The field {self._name!r} has more than {limit} bytes.",
+                f"Send at most {limit} bytes.",
+                field=self._name,
+            )
+        self._data += memoryview(data)[start:end]
+
+    def _on_part_end(self) -> None:
+        self._parts[self._name] = Part(bytes(self._data), self._filename)
+        self._data = bytearray()
+
+    def _on_end(self) -> None:
+        self._complete = True

@@ -1,0 +1,29 @@
+"""GET /models: what this service labels and detects with."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+from boxlift.settings import PRESETS
+from boxlift_service.answers import LabellerModel, ModelsAnswer
+from boxlift_service.decoding import DEFAULT_PRESET
+
+
+def models_routes() -> APIRouter:
+    """GET /models."""
+    routes = APIRouter(tags=["state"])
+    answer = ModelsAnswer(
+        labellers=tuple(
+            LabellerModel(preset=name, fingerprint=settings.fingerprint(), settings=settings)
+            for name, settings in PRESETS.items()
+        ),
+        default_preset=DEFAULT_PRESET,
+        detector=None,
+    )
+
+    @routes.get("/models", summary="Presets of the labeller, and the detector")
+    async def models() -> ModelsAnswer:
+        """The settings of every preset, with their fingerprints."""
+        return answer
+
+    return routes
