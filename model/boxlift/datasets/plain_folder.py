@@ -38,7 +38,7 @@ class PlainFolder:
         with_image: bool = False,
     ) -> Frame:
         """See FrameSource.load."""
-        if name not in self._points and name not in self._images:
+        if name not in self.names:
             raise DatasetError(str(self.root), f"there is no frame {name!r}.", "See its velodyne/ for names.")
         if name not in self._points:
             raise NoLidarError(
