@@ -47,9 +47,12 @@ def _parse_prompt(value: object, where: str) -> Prompt:
         if key not in value:
             raise PromptError(f"{where}.{key}", f"the prompt has no {key!r}.", _EXAMPLE)
     category = value["class"]
-    if not isinstance(category, str) or not 0 < len(category) <= _LONGEST_CLASS:
+    # Printable excludes line breaks and half surrogates (JSON's "\\ud800"), which no file could hold.
+    if not (isinstance(category, str) and 0 < len(category) <= _LONGEST_CLASS and category.isprintable()):
         raise PromptError(
-            f"{where}.class", f"{category!r:.60} is no class name.", f"Give 1 to {_LONGEST_CLASS} characters."
+            f"{where}.class",
+            f"{category!r:.60} is no class name.",
+            f"Give 1 to {_LONGEST_CLASS} printable characters.",
         )
     return Prompt(category, _parse_box(value["box"], f"{where}.box"), _parse_score(value, f"{where}.score"))
 
