@@ -121,8 +121,9 @@ def _frame_name(parts: Mapping[str, Part]) -> str:
     if "name" not in parts:
         stem = PurePath(parts["points"].filename or "").stem
         return stem if stem and stem.isprintable() else DEFAULT_NAME
-    name = parts["name"].data.decode("utf-8", "replace")
-    if not 0 < len(name) <= _LONGEST_NAME or not name.isprintable():
+    data = parts["name"].data
+    name = data.decode("utf-8", "backslashreplace")
+    if not 0 < len(name) <= _LONGEST_NAME or not name.isprintable() or name.encode() != data:
         raise InputError(
             "name", f"{name!r:.60} is no name.", f"Give 1 to {_LONGEST_NAME} printable characters."
         )
