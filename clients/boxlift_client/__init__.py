@@ -1,0 +1,12 @@
+"""boxlift's clients: HTTP, batch runs over datasets, and the command line.
+
+    from boxlift_client.client import Client                  # one frame over HTTP
+    from boxlift_client import LabelJob, label_dataset        # a dataset, by any engine
+
+Importing this is light; httpx, torch and Open3D load with the engine or the client that needs them.
+"""
+
+from boxlift_client.job import FrameReport, LabelJob, Outcome
+from boxlift_client.runner import RunSummary, label_dataset
+
+__all__ = ["FrameReport", "LabelJob", "Outcome", "RunSummary", "label_dataset"]

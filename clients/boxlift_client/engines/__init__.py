@@ -1,0 +1,15 @@
+"""What maps the frames of a job to workers: one file per engine, all behind Engine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Protocol
+
+from boxlift_client.job import FrameReport, LabelJob
+
+
+class Engine(Protocol):
+    """Labels the frames of a job, in any order, each once."""
+
+    def run(self, job: LabelJob, names: Sequence[str]) -> Iterator[FrameReport]:
+        """One report per frame, as they finish. Raises BoxliftError where no frame could be labelled."""

@@ -1,0 +1,137 @@
+"""Worker processes on this machine, each with a labeller of its own.
+
+Processes also for one worker: whatever takes a worker down (a crash in native code, the kernel short of
+memory) costs that one frame and nothing else.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import wait as wait_for_end
+
+from boxlift_client.errors import WorkersCannotStartError
+from boxlift_client.job import FrameReport, FrameWorker, LabelJob, Outcome
+
+# A worker holds about half a gigabyte: more of them are asked for by name.
+_MOST_WORKERS_UNASKED = 8
+# Starting a worker takes as long as labelling about this many frames.
+_FRAMES_WORTH_A_WORKER = 8
+_DIED = (
+    "The worker process died while it labelled this frame (a crash in native code, or killed for lack of "
+    "memory). Try it with --workers 1; if it dies again, leave the frame out with --frames."
+)
+
+
+class LocalEngine:
+    """A pool of `workers` processes; without a number as many as cores, fewer for few frames."""
+
+    def __init__(self, workers: int | None = None) -> None:
+        self._workers = workers
+
+    def run(self, job: LabelJob, names: Sequence[str]) -> Iterator[FrameReport]:
+        """See Engine.run."""
+        workers = self._workers or _workers_for(len(names))
+        waiting = deque(names)
+        while waiting:
+            suspects = yield from _map(job, waiting, workers, in_flight_limit=2 * workers)
+            # A worker died. Alone in a pool each suspect either comes through or convicts itself.
+            alone = deque(suspects)
+            while alone:
+                for name in (yield from _map(job, alone, workers=1, in_flight_limit=1)):
+                    yield FrameReport(name, Outcome.FAILED, _DIED)
+
+
+def _workers_for(frame_count: int) -> int:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(cores, _MOST_WORKERS_UNASKED, frame_count // _FRAMES_WORTH_A_WORKER))
+
+
+def _map(
+    job: LabelJob, waiting: deque[str], workers: int, in_flight_limit: int
+) -> Generator[FrameReport, None, list[str]]:
+    """Label `waiting` until it is empty or a worker dies; returns the frames that were then in flight."""
+    in_flight: dict[Future[FrameReport], str] = {}
+    pool = ProcessPoolExecutor(
+        workers, multiprocessing.get_context("spawn"), initializer=_start_worker, initargs=(job,)
+    )
+    try:
+        _await_first_worker(pool)
+        while waiting or in_flight:
+            while waiting and len(in_flight) < in_flight_limit:
+                in_flight[pool.submit(_label_one, waiting[0])] = waiting[0]
+                waiting.popleft()
+            done, _ = wait(in_flight, return_when=FIRST_COMPLETED)
+            # Those that finished before the pool broke come first, so that none of them is lost.
+            for future in sorted(done, key=lambda future: future.exception() is not None):
+                report = future.result()
+                del in_flight[future]
+                yield report
+    except BrokenProcessPool:
+        return list(in_flight.values())
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return []
+
+
+def _await_first_worker(pool: ProcessPoolExecutor) -> None:
+    try:
+        reason = pool.submit(_why_not_ready).result()
+    except BrokenProcessPool:
+        reason = (
+            "the processes end as soon as they start. Out of memory? A script that labels "
+            "needs `if __name__ == '__main__':` around its calls."
+        )
+    if reason is not None:
+        raise WorkersCannotStartError(f"The local workers cannot start: {reason}")
+
+
+_worker: FrameWorker | None = None
+_not_ready = "the worker was not initialised."
+
+
+def _start_worker(job: LabelJob) -> None:
+    """In a new worker process: one thread of arithmetic, one labeller; or the reason why there is none."""
+    global _worker, _not_ready
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    # Many small objects: processes scale, threads within one only wait for each other.
+    os.environ["OMP_NUM_THREADS"] = "1"
+    try:
+        import torch
+
+        from boxlift.extras import open3d
+        from boxlift.formats.details import details_of
+        from boxlift.labeller import Labeller
+
+        torch.set_num_threads(1)
+        open3d()
+    except ImportError as error:
+        _not_ready = str(error)
+        return
+    labeller = Labeller(job.settings)
+    _worker = FrameWorker(job, lambda frame: details_of(labeller.label(frame)))
+
+
+def _end_with_parent() -> None:
+    """A worker whose parent was killed would wait for its next frame for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait_for_end([parent.sentinel])
+        os._exit(1)
+
+
+def _why_not_ready() -> str | None:
+    return None if _worker else _not_ready
+
+
+def _label_one(name: str) -> FrameReport:
+    if _worker is None:
+        return FrameReport(name, Outcome.FAILED, _not_ready)
+    return _worker.label_one(name)

@@ -1,0 +1,84 @@
+"""One run over a dataset, and one frame of it: load, label, write, report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from time import perf_counter
+
+from boxlift.datasets import FrameSource, load_prompts, open_source
+from boxlift.errors import BoxliftError, MissingExtraError, NoLidarError
+from boxlift.formats.details import FrameDetails
+from boxlift.frame import Frame
+from boxlift.settings import PAPER, LabellerSettings
+from boxlift_client.label_files import write_label_files
+
+
+@dataclass(frozen=True)
+class LabelJob:
+    """Where frames and prompts come from, how they are labelled, and where the labels go.
+
+    source: a dataset root or folder. out: the labels' folder. prompts: a folder of KITTI text files,
+    inside the source (`label_2`, `det_2d`) or anywhere. masks: a folder of instance masks. A job is
+    plain data, so that processes and machines can be handed it.
+    """
+
+    source: Path
+    out: Path
+    prompts: str
+    masks: Path | None = None
+    settings: LabellerSettings = PAPER
+
+
+class Outcome(StrEnum):
+    """What became of a frame."""
+
+    LABELLED = "labelled"
+    SKIPPED = "skipped"  # there is nothing to label it from
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class FrameReport:
+    """What became of a frame: (result, sentence) per prompt, or the sentence why it has no labels."""
+
+    frame: str
+    outcome: Outcome
+    sentence: str = ""
+    results: tuple[tuple[str, str], ...] = ()
+    seconds: float = 0.0
+
+
+class FrameWorker:
+    """Labels the frames of a job one by one; `label` is a labeller here or a service elsewhere."""
+
+    def __init__(self, job: LabelJob, label: Callable[[Frame], FrameDetails]) -> None:
+        self._job = job
+        self._label = label
+        self._source: FrameSource = open_source(job.source)
+
+    def label_one(self, name: str) -> FrameReport:
+        """Load, label and write one frame. Whatever is wrong with the frame is told in the report.
+
+        Raises MissingExtraError, which no other frame would fare better with.
+        """
+        start = perf_counter()
+        try:
+            prompts = load_prompts(self._job.prompts, self._source, name)
+            frame = self._source.load(name, prompts, masks=self._job.masks)
+            details = self._label(frame)
+            write_label_files(self._job.out, name, details)
+        except MissingExtraError:
+            raise
+        except NoLidarError as error:
+            return FrameReport(name, Outcome.SKIPPED, str(error), seconds=perf_counter() - start)
+        except BoxliftError as error:
+            return FrameReport(name, Outcome.FAILED, str(error), seconds=perf_counter() - start)
+        # One frame's surprise (a full disk, a fault of ours) must not cost the others.
+        except Exception as error:
+            sentence = f"{type(error).__name__}: {error}"
+            return FrameReport(name, Outcome.FAILED, sentence, seconds=perf_counter() - start)
+        results = tuple((item.result, item.sentence) for item in details.objects)
+        return FrameReport(name, Outcome.LABELLED, results=results, seconds=perf_counter() - start)

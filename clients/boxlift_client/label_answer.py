@@ -1,0 +1,71 @@
+"""What a service answers, read."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from pydantic import Field, ValidationError
+
+from boxlift.formats.details import FrameDetails
+from boxlift_client.errors import (
+    Problem,
+    RequestRefusedError,
+    ServiceFailedError,
+    ServiceProblemError,
+    UnexpectedAnswerError,
+)
+from boxlift_client.label_files import kitti_text
+
+
+class LabelAnswer(FrameDetails):
+    """The labels of one frame, and with what they were made. Members of later versions are ignored."""
+
+    dropped_points: int = Field(description="Points that were left out: not finite, or beyond 100 km.")
+    preset: str = Field(description="Preset that the settings started from.")
+    settings_fingerprint: str = Field(description="Changes when any setting of the labeller does.")
+    model_digest: str | None = Field(description="Digest of the detector's weights; null without one.")
+    api_version: str = Field(description="Version of the HTTP interface.")
+    boxlift_version: str = Field(description="Version of the package.")
+
+    @property
+    def details(self) -> FrameDetails:
+        """What became of every prompt, without the rest."""
+        return FrameDetails(frame=self.frame, objects=self.objects)
+
+    @property
+    def kitti_text(self) -> str:
+        """The boxes as KITTI result lines; empty for none."""
+        return kitti_text(self)
+
+
+def read_label_answer(url: str, content: bytes) -> LabelAnswer:
+    """The body of a success. Raises UnexpectedAnswerError."""
+    try:
+        return LabelAnswer.model_validate_json(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise UnexpectedAnswerError(
+            url,
+            f"the answer is not a label answer ({where or 'body'}: {first['msg']}). Is it a boxlift service, "
+            "and of this version?",
+        ) from None
+
+
+def problem_error(url: str, status: int, content: bytes) -> ServiceProblemError:
+    """The body of a refusal or failure as the exception to raise; never raises itself."""
+    error_type = RequestRefusedError if 400 <= status < 500 else ServiceFailedError
+    return error_type(url, _read_problem(status, content))
+
+
+def _read_problem(status: int, content: bytes) -> Problem:
+    try:
+        members: Any = json.loads(content)
+    except ValueError:
+        members = None
+    if not isinstance(members, dict):
+        return Problem(status, detail=content[:200].decode("utf-8", "replace"))
+    known = ("type", "title", "detail", "field", "problem", "remedy")
+    texts = {key: members[key] for key in known if isinstance(members.get(key), str)}
+    return Problem(status, **texts)

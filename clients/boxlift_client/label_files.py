@@ -1,0 +1,73 @@
+"""The two files of a labelled frame, each there whole or not at all.
+
+    DIR/data/STEM.txt        KITTI result format, 16 columns
+    DIR/details/STEM.json    one entry per prompt
+
+Both are written from the details, rounded once, so that it makes no difference to a byte whether the
+labels come from a process here or from a service.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from pathlib import Path
+
+from boxlift.formats import kitti_label
+from boxlift.formats.details import FrameDetails, KittiDetails
+from boxlift.formats.kitti_label import KittiObject
+
+
+def data_path(out: Path, name: str) -> Path:
+    """Where a frame's labels are."""
+    return out / "data" / f"{name}.txt"
+
+
+def details_path(out: Path, name: str) -> Path:
+    """Where a frame's details are."""
+    return out / "details" / f"{name}.json"
+
+
+def write_label_files(out: Path, name: str, details: FrameDetails) -> None:
+    """Write both files; the labels last, so that whoever finds them finds the details too."""
+    _write_atomically(details_path(out, name), details_text(details))
+    _write_atomically(data_path(out, name), kitti_text(details))
+
+
+def kitti_text(details: FrameDetails) -> str:
+    """A frame's boxes as KITTI result lines; empty for none."""
+    return kitti_label.to_text(_kitti_object(item.kitti) for item in details.objects if item.kitti)
+
+
+def details_text(details: FrameDetails) -> str:
+    """A frame's details as the JSON of its file."""
+    return details.model_dump_json(by_alias=True, indent=2) + "\n"
+
+
+def _kitti_object(line: KittiDetails) -> KittiObject:
+    return KittiObject(
+        category=line.type,
+        truncated=line.truncated,
+        occluded=line.occluded,
+        alpha=line.alpha,
+        box_px=line.bbox,
+        size_hwl_m=line.dimensions,
+        bottom_center_cam=line.location,
+        rotation_y=line.rotation_y,
+        score=line.score,
+    )
+
+
+def _write_atomically(path: Path, text: str) -> None:
+    """Write beside, flush to disk, rename: a reader, or a crash, sees the old file or the new one."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.tmp")
+    try:
+        with beside.open("w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+    except BaseException:
+        beside.unlink(missing_ok=True)
+        raise
