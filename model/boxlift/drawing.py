@@ -290,7 +290,7 @@ class _BirdsEyeView:
         for item in items:
             if item.box is not None:
                 x, y = self._pixels(item.box.bev_corners()[0]).max(axis=0)
-                canvas.text((x + 3, y - _FONT_PX), item.short, item.color)
+                canvas.text((x + 3, y - _FONT_PX), item.short.split()[0], item.color)
         self._legend(canvas, items)
         return canvas.finish()
 

@@ -92,9 +92,7 @@ class Labeller:
             problems, self.settings.fit, self.settings.loss, pad_to=self.settings.points.sample_count
         )
 
-    def _place(
-        self, frame: Frame, candidates: Sequence[_Candidate], fits: Sequence[FitSolution]
-    ) -> Boxes3D:
+    def _place(self, frame: Frame, candidates: Sequence[_Candidate], fits: Sequence[FitSolution]) -> Boxes3D:
         """Boxes of all candidates, set on y by their points and then by their prompts."""
         if not candidates:
             return Boxes3D.empty()

@@ -64,13 +64,14 @@ def geometric_alignment(points_xz: Tensor, boxes: BevBoxes) -> Tensor:
     A point exactly at the centre has no ray of its own; it is sent out through the side of the box.
     """
     x, z = boxes.offset(points_xz)
-    at_center = torch.maximum(x.abs(), z.abs()) < _EPS
-    x = torch.where(at_center, _EPS * torch.sin(boxes.rotation_y)[..., None], x)
-    z = torch.where(at_center, _EPS * torch.cos(boxes.rotation_y)[..., None], z)
     along, across = boxes.to_box_frame(x, z)
+    half_width = boxes.width[..., None] / 2
     # The ray p = s * e leaves the box at e, where the larger of its two relative coordinates is one.
-    s = torch.maximum(along.abs() * (2 / boxes.length[..., None]), across.abs() * (2 / boxes.width[..., None]))
-    return (x.abs() + z.abs()) * (1 - 1 / s).abs()
+    s = torch.maximum(along.abs() * (2 / boxes.length[..., None]), across.abs() / half_width)
+    length = x.abs() + z.abs()
+    distance = (length - length / s.clamp(min=_EPS)).abs()
+    side = half_width * (torch.sin(boxes.rotation_y).abs() + torch.cos(boxes.rotation_y).abs())[..., None]
+    return torch.where(s < _EPS, side, distance)
 
 
 def ray_tracing(points_xz: Tensor, boxes: BevBoxes, origin_xz: Tensor) -> tuple[Tensor, Tensor]:
@@ -131,22 +132,25 @@ def balanced_loss(
     """
     weight = valid.to(points_xz.dtype)
     count = weight.sum(-1).clamp(min=1)
-    geometric = geometric_alignment(points_xz, boxes) * weight
-    distance, hit = ray_tracing(points_xz, boxes, origin_xz)
-    ray = distance * weight
-    center = center_distance(points_xz, boxes, settings.center_norm) * weight
+    geometric = geometric_alignment(points_xz, boxes)
+    ray, hit = ray_tracing(points_xz, boxes, origin_xz)
+    center = center_distance(points_xz, boxes, settings.center_norm)
     if not settings.balance_by_density:
-        balance = torch.ones_like(weight)
+        balance = weight
     elif density is None:
-        balance = point_density(points_xz, valid, settings.density_radius_m)
+        balance = weight / point_density(points_xz, valid, settings.density_radius_m)
     else:
-        balance = density
-
-    hits = (hit & valid).sum(-1)
-    ray_counts = (hits >= settings.ray_min_hits) & (boxes.center_xz[..., 1] > settings.ray_min_depth_m)
-    ray_points = hits.clamp(min=1) if settings.ray_average == "hits" else count
-    ray_scale = torch.where(ray_counts, settings.ray_weight / ray_points, 0.0)
+        balance = weight / density
 
     pointwise = settings.geometric_weight * geometric + settings.center_weight * center
-    total = (pointwise / balance).sum(-1) / count + (ray / balance).sum(-1) * ray_scale
-    return BalancedLoss(total, geometric.sum(-1) / count, ray.sum(-1) / count, center.sum(-1) / count)
+    total = (pointwise * balance).sum(-1) / count
+    ray_scale = settings.ray_weight / count
+    if settings.ray_average == "hits" or settings.ray_min_hits or settings.ray_min_depth_m:
+        hits = (hit & valid).sum(-1)
+        if settings.ray_average == "hits":
+            ray_scale = settings.ray_weight / hits.clamp(min=1)
+        counts = (hits >= settings.ray_min_hits) & (boxes.center_xz[..., 1] > settings.ray_min_depth_m)
+        ray_scale = torch.where(counts, ray_scale, 0.0)
+    total = total + (ray * balance).sum(-1) * ray_scale
+    means = ((term * weight).sum(-1) / count for term in (geometric, ray, center))
+    return BalancedLoss(total, *means)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,7 @@ class UnusablePrompt:
     prompt_index: int
     result: Result
     sentence: str
-    counts: PointCounts = PointCounts()
+    counts: PointCounts = field(default_factory=PointCounts)
 
 
 def points_in_image(frame: Frame) -> VisiblePoints:
@@ -150,4 +150,3 @@ def sample(points_cam: Floats, settings: ObjectPointSettings, rng: np.random.Gen
     if len(points_cam) <= count:
         return points_cam
     return points_cam[np.sort(rng.choice(len(points_cam), size=count, replace=False))]
-

@@ -98,10 +98,14 @@ class FitSettings(_Settings):
         "search", description="Global search with refinement, or Adam from the points' centroid."
     )
     grid_steps: int = Field(
-        13, ge=2, le=200, description="Grid steps from the points' centroid to each side of the search."
+        16, ge=2, le=200, description="Grid steps from the points' centroid to each side of the search."
     )
-    candidates: int = Field(8, ge=1, le=100, description="Grid minima that are refined.")
-    final_step_m: float = Field(0.005, gt=1e-5, le=1, description="Step at which the refinement ends.")
+    beam_width: int = Field(
+        96, ge=1, le=10_000, description="Cells that the search splits further at every level."
+    )
+    levels: int = Field(
+        6, ge=0, le=20, description="Times that the search halves its cells: 6 end at 4 mm for a car."
+    )
     adam_steps: int = Field(500, ge=1, le=100_000, description="Steps of Adam.")
     adam_learning_rate: float = Field(0.05, gt=0, le=10, description="Learning rate of Adam, metres.")
 
@@ -160,7 +164,9 @@ RELEASE = LabellerSettings(
     points=ObjectPointSettings(
         vertical_filter="mid_range", vertical_filter_min_points=10, sample_with_replacement=True
     ),
-    heading=HeadingSettings(fold_low_rad=0.39269908169872414, x_extent_threshold_m=4.0, x_extent_of="cluster"),
+    heading=HeadingSettings(
+        fold_low_rad=0.39269908169872414, x_extent_threshold_m=4.0, x_extent_of="cluster"
+    ),
     loss=LossSettings(
         density_radius_m=0.2, center_norm="l1", ray_average="hits", ray_min_hits=3, ray_min_depth_m=3.0
     ),
