@@ -33,7 +33,7 @@ def test_no_prompts() -> None:
     st.lists(
         st.builds(
             Prompt,
-            st.text(min_size=1, max_size=100),
+            st.text(min_size=1, max_size=100).filter(str.isprintable),
             st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 4),
             st.floats(allow_nan=False, allow_infinity=False),
         ),
