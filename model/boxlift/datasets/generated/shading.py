@@ -94,10 +94,12 @@ def _facade_rgb(wall: Floats, points: Floats, normal: Floats) -> Floats:
 
 def _speckle(points: Floats, cell_m: float) -> Floats:
     """Repeatable noise in 0..1, constant on cubes of a size (integer hash)."""
-    cell = np.floor(points / cell_m).astype(np.int64)
-    hashed = (cell[:, 0] * 73856093) ^ (cell[:, 1] * 19349663) ^ (cell[:, 2] * 83492791)
-    hashed = (hashed ^ (hashed >> 13)) * 1274126177
-    return np.asarray(((hashed ^ (hashed >> 16)) & 0xFFFF) / 0xFFFF)
+    cell = (np.floor(points / cell_m).astype(np.int64) + (1 << 20)).astype(np.uint64)
+    mixed = cell[:, 0] * np.uint64(0x9E3779B1) + cell[:, 1] * np.uint64(0x85EBCA77) + cell[:, 2]
+    # The finaliser of SplitMix64 (Steele, Lea and Flood, OOPSLA 2014).
+    mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.asarray((mixed >> np.uint64(40)) / float(1 << 24))
 
 
 def _blurred(image: Floats) -> Floats:

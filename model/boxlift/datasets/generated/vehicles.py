@@ -145,7 +145,7 @@ def _light_vehicle(rng: np.random.Generator, styles: tuple[BodyStyle, ...]) -> M
     axles = (length / 2 - rng.uniform(0.78, 0.88), -length / 2 + rng.uniform(0.68, 0.85))
     parts = [_shell(style, length, width, height, paint, axles, clearance=0.19)]
     parts += _wheels(axles, width, radius, 0.19)
-    parts += _lights(length, width, height)
+    parts += _lights(style, length, width, height)
     parts += _seats(style, length, width, height)
     return joined(parts)
 
@@ -240,17 +240,18 @@ def _wheels(axles: tuple[float, ...] | list[float], width: float, radius: float,
     return parts
 
 
-def _lights(length: float, width: float, height: float) -> list[Mesh]:
+def _lights(style: BodyStyle, length: float, width: float, height: float) -> list[Mesh]:
     parts = []
     for side in (-1, 1):
-        inner, outer = sorted((side * 0.22 * width, side * 0.40 * width))
-        front_z, rear_z = 0.35 * height, 0.44 * height
+        inner, outer = sorted((side * 0.18 * width, side * 0.345 * width))
+        front_z = style.profile[0][1] * height - 0.12  # below the edge of the bonnet
+        rear_z = style.profile[-1][1] * height - 0.13
         parts.append(
-            block((length / 2 - 0.2, inner, front_z), (length / 2 - 0.02, outer, front_z + 0.11), _HEADLIGHT)
+            block((length / 2 - 0.2, inner, front_z), (length / 2 + 0.006, outer, front_z + 0.11), _HEADLIGHT)
         )
-        inner, outer = sorted((side * 0.27 * width, side * 0.43 * width))
+        inner, outer = sorted((side * 0.25 * width, side * 0.395 * width))
         parts.append(
-            block((-length / 2 + 0.02, inner, rear_z), (-length / 2 + 0.2, outer, rear_z + 0.13), _TAILLIGHT)
+            block((-length / 2 - 0.006, inner, rear_z), (-length / 2 + 0.2, outer, rear_z + 0.13), _TAILLIGHT)
         )
     for end in (-1, 1):
         x1, x2 = sorted((end * (length / 2 - 0.1), end * (length / 2 + 0.008)))
