@@ -45,6 +45,10 @@ class Calibration:
                 raise CalibrationError(
                     field, f"the matrix {square.tolist()} is singular.", "Give one that can be inverted."
                 )
+        # A projection means the same at any scale; at this one its third row gives depth in metres.
+        scaled = self.image_P_cam / np.linalg.norm(self.image_P_cam[2, :3])
+        scaled.setflags(write=False)
+        object.__setattr__(self, "image_P_cam", scaled)
 
     @property
     def focal_px(self) -> tuple[float, float]:
@@ -57,7 +61,7 @@ class Calibration:
 
         KITTI's P2 belongs to the left colour camera, 6 cm beside the origin of the rectified frame.
         """
-        return -np.linalg.solve(self.image_P_cam[:, :3], self.image_P_cam[:, 3])
+        return np.float64(-1) * np.linalg.solve(self.image_P_cam[:, :3], self.image_P_cam[:, 3])
 
     @property
     def lidar_center_cam(self) -> Floats:
@@ -70,8 +74,9 @@ class Calibration:
 
     def cam_to_velo(self, points_cam: NDArray[np.floating]) -> Floats:
         """(N, 3) points of the rectified camera frame -> (N, 3) in the LiDAR frame."""
-        velo_SE3_cam = np.linalg.inv(self.cam_SE3_velo)
-        return points_cam[:, :3] @ velo_SE3_cam[:3, :3].T + velo_SE3_cam[:3, 3]
+        velo_SE3_cam = np.linalg.inv(self.cam_SE3_velo).astype(np.float64)
+        points_velo: Floats = points_cam[:, :3] @ velo_SE3_cam[:3, :3].T + velo_SE3_cam[:3, 3]
+        return points_velo
 
     def project(self, points_cam: NDArray[np.floating]) -> tuple[Floats, Floats]:
         """(..., 3) points -> pixels (..., 2) and depth (...,) along the optical axis.

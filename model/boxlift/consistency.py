@@ -56,7 +56,7 @@ def agree_with_prompts(
         return boxes
     usable = ~cut_edges(prompts_px, image_size_px)
     usable[:, [0, 2]] &= settings.adjust_x
-    usable &= (boxes.corners()[..., 2] > 0).all(axis=1)[:, None]
+    usable &= boxes.corners()[..., 2].min(axis=1, keepdims=True) > 0
     limit = np.inf if settings.max_shift_m is None else settings.max_shift_m
 
     shift = np.zeros((len(boxes), len(names)))

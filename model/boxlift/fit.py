@@ -155,7 +155,6 @@ def _adam(batch: _Batch, settings: FitSettings) -> Tensor:
     center = torch.zeros_like(batch.anchor_xz, requires_grad=True)
     optimiser = torch.optim.Adam([center], lr=settings.adam_learning_rate)
     for _ in range(settings.adam_steps):
-        optimiser.zero_grad()
-        batch.loss(center).total.sum().backward()
+        (center.grad,) = torch.autograd.grad(batch.loss(center).total.sum(), [center])
         optimiser.step()
     return center

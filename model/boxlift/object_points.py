@@ -91,7 +91,8 @@ def _object_points(
     frame: Frame, points: VisiblePoints, ground: Ground, index: int, settings: ObjectPointSettings
 ) -> ObjectPoints | UnusablePrompt:
     x1, y1, x2, y2 = frame.prompts[index].box_px
-    inside = ((points.pixels >= (x1, y1)) & (points.pixels <= (x2, y2))).all(axis=1)
+    column_px, row_px = points.pixels.T
+    inside = (column_px >= x1) & (column_px <= x2) & (row_px >= y1) & (row_px <= y2)
     region = "box"
     if frame.instance_ids is not None:
         region = "mask"

@@ -1,0 +1,47 @@
+# Every command sets up what it needs. `make demo` and `make test` are enough for a start.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.PHONY: setup demo test check bench serve fmt clean
+
+setup: $(READY)
+
+$(READY): pyproject.toml constraints.txt docker/system-libraries.sh
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "boxlift needs Python 3.11 or newer; name one with: make PYTHON=python3.11 $(MAKECMDGOALS)"; exit 1; }
+	@sh docker/system-libraries.sh $(PYTHON)
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt hatchling editables
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt --no-build-isolation -e '.[dev]'
+	@touch $@
+
+demo: $(READY)
+	$(BIN)/boxlift demo --out demo
+
+test: check
+	$(BIN)/pytest
+
+check: $(READY)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+
+fmt: $(READY)
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+serve: $(READY)
+	$(BIN)/boxlift serve
+
+bench: $(READY)
+	$(BIN)/python benchmarks/fit_optimality.py
+	$(BIN)/python benchmarks/presets.py
+	$(BIN)/python benchmarks/prompts.py
+	$(BIN)/python benchmarks/evaluator.py
+	$(BIN)/python benchmarks/label_http.py
+
+clean:
+	rm -rf $(VENV) demo dist
