@@ -7,6 +7,7 @@ BoxliftError
 │   │   ├── RequestRefusedError     4xx: what was sent is at fault; field, problem and remedy say how
 │   │   └── ServiceFailedError      5xx: the service is at fault, or cannot do this (yet)
 │   └── UnexpectedAnswerError       the answer is not one of boxlift's
+├── ServiceStartError               a service that was started here does not come up
 └── WorkersCannotStartError         the processes of the local engine end before their first frame
 """
 
@@ -67,6 +68,10 @@ class RequestRefusedError(ServiceProblemError):
 
 class ServiceFailedError(ServiceProblemError):
     """5xx: the service failed, or cannot do what was asked."""
+
+
+class ServiceStartError(BoxliftError):
+    """The service that was started here does not come up; the message ends with its log."""
 
 
 class WorkersCannotStartError(BoxliftError):

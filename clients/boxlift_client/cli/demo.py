@@ -1,0 +1,22 @@
+"""`boxlift demo`: the whole of boxlift on generated frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def demo(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for frames, labels and pictures.")] = Path(
+        "demo"
+    ),
+    frames: Annotated[int, typer.Option(min=1, max=1000, help="How many frames.")] = 12,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first frame.")] = 0,
+) -> None:
+    """Generate frames, label them over HTTP, judge the labels against the truth, draw them."""
+    from boxlift_client.demo import run_demo
+
+    if not run_demo(out, frames, seed).complete:
+        raise typer.Exit(1)

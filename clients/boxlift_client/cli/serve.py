@@ -1,0 +1,29 @@
+"""`boxlift serve`: the HTTP service in this process."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+
+def serve(
+    host: Annotated[
+        str | None, typer.Option(help="Address to listen on; 0.0.0.0: all.  [default: 127.0.0.1]")
+    ] = None,
+    port: Annotated[
+        int | None,
+        typer.Option(min=0, max=65_535, help="Port to listen on; 0: a free one.  [default: 8000]"),
+    ] = None,
+    worker_threads: Annotated[
+        int | None, typer.Option(min=1, max=64, help="Frames labelled at the same time.  [default: 1]")
+    ] = None,
+) -> None:
+    """Serve labels over HTTP until interrupted.
+
+    Every setting is also a variable BOXLIFT_*, e.g. BOXLIFT_MAX_POINTS; an option goes before it.
+    """
+    from boxlift_client import service_process
+
+    given = {"host": host, "port": port, "worker_threads": worker_threads}
+    service_process.serve({name: str(value) for name, value in given.items() if value is not None})

@@ -1,0 +1,48 @@
+"""The demo: generated frames, the real service, the batch client, the evaluator, pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from time import perf_counter
+
+from boxlift.datasets.generated import GeneratedFrame, generate, write_dataset
+from boxlift.evaluation import evaluate_folders
+from boxlift_client.cli.progress import OnProgress, progress_bar
+from boxlift_client.engines.http import HttpEngine
+from boxlift_client.job import LabelJob
+from boxlift_client.pictures import draw_labels_on_disk, write_picture
+from boxlift_client.runner import label_dataset
+from boxlift_client.service_process import running_service
+from boxlift_client.summary import RunSummary
+
+_PROMPTS = "label_2"
+
+
+def run_demo(out: Path, frame_count: int, seed: int) -> RunSummary:
+    """Write OUT/dataset, OUT/labels and OUT/pictures, and print what happens and where things are."""
+    dataset, labels, pictures = out / "dataset", out / "labels", out / "pictures"
+
+    start = perf_counter()
+    with progress_bar("Generating") as progress:
+        names = write_dataset(dataset, _generated(frame_count, seed, progress))
+    print(f"Generated {frame_count} frames in {perf_counter() - start:.0f} s: {dataset}")
+
+    with running_service() as url, progress_bar("Labelling") as progress:
+        print(f"Started the service: {url}")
+        job = LabelJob(dataset, labels, _PROMPTS)
+        summary = label_dataset(job, HttpEngine(url), names, progress)
+    print(f"Labelled over HTTP, prompts from {_PROMPTS}: {labels}\n{summary.text()}\n")
+
+    print(evaluate_folders(dataset / "training" / "label_2", labels, names).to_table(), end="\n\n")
+
+    for name in names:
+        write_picture(pictures / f"{name}.png", draw_labels_on_disk(dataset, name, labels, _PROMPTS))
+    print(f"Pictures of labels (coloured) and truth (white): {pictures}/*.png")
+    return summary
+
+
+def _generated(frame_count: int, seed: int, on_progress: OnProgress) -> Iterator[GeneratedFrame]:
+    for index in range(frame_count):
+        on_progress(index, frame_count)
+        yield generate(seed + index)

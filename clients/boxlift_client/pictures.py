@@ -1,0 +1,58 @@
+"""Pictures of frames and their labels, as files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boxlift.datasets import load_objects, load_prompts, open_source
+from boxlift.drawing import draw_frame, draw_objects
+from boxlift.errors import DatasetError, MissingExtraError, OptionsError
+from boxlift.formats import kitti_label
+from boxlift.settings import LabellerSettings
+
+Picture = NDArray[np.uint8]
+
+
+def draw_labels_on_disk(source: Path, name: str, pred: Path, gt: str | None = None) -> Picture:
+    """(H, W, 3) RGB: a frame with the boxes of `pred` (its folder, or its data/) and the truth of `gt`.
+
+    Raises InputError where a file is missing or cannot be read.
+    """
+    folder = open_source(source)
+    labels = (pred / "data" if (pred / "data").is_dir() else pred) / f"{name}.txt"
+    if not labels.is_file():
+        raise DatasetError(str(labels), f"frame {name!r} has no labels there.", "Label it first.")
+    truth = load_objects(gt, folder, name) if gt else []
+    return draw_objects(folder.load(name, with_image=True), kitti_label.read_file(labels), truth)
+
+
+def draw_new_labels(
+    source: Path, name: str, prompts: str | None, gt: str | None, settings: LabellerSettings
+) -> Picture:
+    """(H, W, 3) RGB: a frame, labelled here with `prompts` where they are given, and the truth of `gt`.
+
+    Raises InputError where a file is missing or cannot be read.
+    """
+    folder = open_source(source)
+    truth = load_objects(gt, folder, name) if gt else []
+    if prompts is None:
+        return draw_frame(folder.load(name, with_image=True), None, truth)
+    from boxlift.labeller import Labeller
+
+    frame = folder.load(name, load_prompts(prompts, folder, name), with_image=True)
+    return draw_frame(frame, Labeller(settings).label(frame), truth)
+
+
+def write_picture(path: Path, picture: Picture) -> None:
+    """Write a PNG (or what the suffix says). Raises OptionsError for a suffix that is no picture's."""
+    try:
+        from PIL import Image
+    except ModuleNotFoundError:
+        raise MissingExtraError("pillow", "client") from None
+    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        raise OptionsError("out", f"{path.name!r} is no picture's name.", "Give a name that ends in .png.")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(picture).save(path)
