@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from typing import Any
 
 from fastapi import FastAPI
 from starlette.exceptions import HTTPException
 
 import boxlift
 from boxlift.errors import InputError
+from boxlift_service import documentation
 from boxlift_service.body_limit import BodyLimitMiddleware
 from boxlift_service.engine import Engine
 from boxlift_service.problems import ProblemError, on_http_exception, on_input_error, on_problem
@@ -19,6 +21,11 @@ from boxlift_service.routes.health import health_routes
 from boxlift_service.routes.label import label_routes
 from boxlift_service.routes.models import models_routes
 from boxlift_service.settings import ServiceSettings
+
+
+class _Application(FastAPI):
+    def openapi(self) -> dict[str, Any]:
+        return documentation.with_label_answer_example(super().openapi())
 
 
 def create_app(settings: ServiceSettings) -> FastAPI:
@@ -31,7 +38,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         yield
         engine.stop()
 
-    app = FastAPI(
+    app = _Application(
         title="boxlift",
         summary="3D boxes from 2D boxes and LiDAR",
         description="Boxes are in the rectified camera frame (x right, y down, z forward), metres and "

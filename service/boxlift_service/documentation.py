@@ -148,8 +148,15 @@ def _options_schema() -> dict[str, Any]:
     return schema
 
 
-def label_answer_example() -> dict[str, Any]:
-    """A JSON answer with an object that has a box and one that has none."""
+def with_label_answer_example(document: dict[str, Any]) -> dict[str, Any]:
+    """The OpenAPI document with an example of POST /label's JSON; FastAPI would strip its nulls."""
+    answer = document["paths"]["/label"]["post"]["responses"]["200"]["content"]["application/json"]
+    answer["example"] = _label_answer_example()
+    return document
+
+
+def _label_answer_example() -> dict[str, Any]:
+    """An object that has a box and one that has none."""
     fitted = ObjectDetails(
         category="Car",
         index=0,

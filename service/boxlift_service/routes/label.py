@@ -38,7 +38,6 @@ def label_routes(engine: Engine, settings: ServiceSettings) -> APIRouter:
                 "description": "The labels: as JSON, or as KITTI result lines (only prompts with a box).",
                 "headers": documentation.ANSWER_HEADERS,
                 "content": {
-                    JSON: {"example": documentation.label_answer_example()},
                     TEXT: {"schema": {"type": "string"}, "example": documentation.LABEL_TEXT_EXAMPLE},
                 },
             },

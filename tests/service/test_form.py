@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import asyncio
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from starlette.requests import Request
+from starlette.types import Message
+
+from boxlift_service.form import Field, Part, read_form
+from boxlift_service.problems import Kind, ProblemError
+
+FIELDS = {"points": Field(1000, required=True), "name": Field(5)}
+
+
+def read(chunks: list[bytes], content_type: str = "multipart/form-data; boundary=line") -> dict[str, Part]:
+    messages: list[Message] = [
+        {"type": "http.request", "body": chunk, "more_body": index < len(chunks) - 1}
+        for index, chunk in enumerate(chunks)
+    ]
+
+    async def receive() -> Message:
+        return messages.pop(0)
+
+    scope = {"type": "http", "method": "POST", "headers": [(b"content-type", content_type.encode())]}
+    return asyncio.run(read_form(Request(scope, receive), FIELDS))
+
+
+def form(points: bytes, name: bytes = b"abc") -> bytes:
+    return (
+        b'--line\r\nContent-Disposition: form-data; name="points"; filename="p.bin"\r\n'
+        b"Content-Type: application/octet-stream\r\n\r\n" + points + b"\r\n"
+        b'--line\r\nContent-Disposition: form-data; name="name"\r\n\r\n' + name + b"\r\n--line--\r\n"
+    )
+
+
+@given(
+    points=st.binary(max_size=60) | st.text("\r\n-line", max_size=60).map(str.encode),
+    cuts=st.lists(st.integers(0, 260), max_size=8),
+)
+def test_parts_do_not_depend_on_how_the_body_was_cut(points: bytes, cuts: list[int]) -> None:
+    if b"\r\n--line" in b"\r\n" + points:
+        return  # the boundary of a form is chosen so that it does not occur in it
+    body = form(points)
+    edges = [0, *sorted(cuts), len(body)]
+    chunks = [body[start:end] for start, end in pairwise(edges)]
+    assert read(chunks) == {"points": Part(points, "p.bin"), "name": Part(b"abc")}
+
+
+@pytest.mark.parametrize(
+    ("body", "kind", "field"),
+    [
+        (form(bytes(1001)), Kind.TOO_LARGE, "points"),
+        (form(b"", b"abcdef"), Kind.TOO_LARGE, "name"),
+        (form(b"").replace(b'"name"', b'"points"'), Kind.INVALID_FIELD, "points"),
+        (form(b"").replace(b'"points"', b'"pionts"'), Kind.INVALID_FIELD, "pionts"),
+        (form(b"")[form(b"").index(b"\r\n--line") + 2 :], Kind.INVALID_FIELD, "points"),
+        (form(b"")[:-8], Kind.UNREADABLE_BODY, None),
+    ],
+    ids=["large", "large text", "twice", "unknown", "missing", "cut"],
+)
+def test_refusals(body: bytes, kind: Kind, field: str | None) -> None:
+    with pytest.raises(ProblemError) as caught:
+        read([body])
+    assert (caught.value.kind, caught.value.field) == (kind, field)

@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pytest
+
+from boxlift.settings import PRESETS, LabellerSettings
+from boxlift_service.answers import LabelAnswer
+from boxlift_service.app import create_app
+from boxlift_service.problems import ProblemDetails
+from boxlift_service.settings import ServiceSettings
+from service.running import RunningService
+
+
+def test_probes_of_a_ready_service(service: RunningService) -> None:
+    assert service.client.get("/healthz").json() == {"status": "alive"}
+    assert service.client.get("/readyz").json() == {"status": "ready"}
+
+
+def test_models_lists_the_presets(service: RunningService) -> None:
+    answer = service.client.get("/models").json()
+    assert answer["detector"] is None
+    assert answer["default_preset"] == "paper"
+    assert [labeller["preset"] for labeller in answer["labellers"]] == list(PRESETS)
+    for labeller in answer["labellers"]:
+        settings = LabellerSettings.model_validate(labeller["settings"])
+        assert settings.fingerprint() == labeller["fingerprint"] == PRESETS[labeller["preset"]].fingerprint()
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "status"),
+    [
+        ("GET", "/nothing", 404),
+        ("GET", "/label/", 404),
+        ("GET", "/docs", 404),
+        ("POST", "/%00%ff", 404),
+        ("GET", "/label", 405),
+        ("DELETE", "/healthz", 405),
+    ],
+)
+def test_what_is_not_there_is_a_problem(service: RunningService, method: str, path: str, status: int) -> None:
+    response = service.client.request(method, path)
+    assert response.status_code == status
+    assert response.headers["content-type"] == "application/problem+json"
+    assert ProblemDetails.model_validate_json(response.content).status == status
+    if status == 405:
+        assert response.headers["allow"] in ("POST", "GET")
+
+
+def test_request_id_is_echoed_or_made(service: RunningService) -> None:
+    def answered(request_id: str) -> str:
+        return service.client.get("/healthz", headers={"X-Request-ID": request_id}).headers["x-request-id"]
+
+    assert answered("job-17/frame:3") == "job-17/frame:3"
+    for unusable in ("", "has space", "x" * 129, '"quoted"'):
+        assert answered(unusable) not in ("", unusable)
+    assert service.client.get("/nothing", headers={"X-Request-ID": "n"}).headers["x-request-id"] == "n"
+
+
+def in_process_get(path: str) -> httpx.Response:
+    """GET from an application whose server never started: no warm-up has run."""
+    app = create_app(ServiceSettings())
+
+    @app.get("/fails")
+    async def fails() -> None:
+        raise RuntimeError("the secret inside")
+
+    async def get() -> httpx.Response:
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://x") as client:
+            return await client.get(path, headers={"X-Request-ID": "r1"})
+
+    return asyncio.run(get())
+
+
+def test_a_failure_of_ours_is_a_problem_that_shows_nothing_inside() -> None:
+    response = in_process_get("/fails")
+    assert response.status_code == 500
+    assert response.headers["content-type"] == "application/problem+json"
+    assert response.headers["x-request-id"] == "r1"
+    assert "secret" not in response.text
+    assert "Traceback" not in response.text
+    assert "r1" in response.json()["detail"]
+
+
+def test_readyz_before_the_warm_up() -> None:
+    response = in_process_get("/readyz")
+    assert response.status_code == 503
+    assert response.headers["retry-after"] == "1"
+    assert "warm-up" in response.json()["problem"]
+
+
+def references(value: Any) -> Iterator[str]:
+    """Every $ref of a document."""
+    if isinstance(value, dict):
+        if isinstance(reference := value.get("$ref"), str):
+            yield reference
+        for member in value.values():
+            yield from references(member)
+    elif isinstance(value, list):
+        for member in value:
+            yield from references(member)
+
+
+def test_openapi_describes_every_route_and_no_foreign_error(service: RunningService) -> None:
+    text = service.client.get("/openapi.json").text
+    document = json.loads(text)
+    assert set(document["paths"]) == {"/label", "/detect", "/healthz", "/readyz", "/models"}
+    assert "HTTPValidationError" not in text
+    for reference in references(document):
+        node = document
+        for key in reference.removeprefix("#/").split("/"):
+            node = node[key]
+    for path in document["paths"].values():
+        for operation in path.values():
+            for status, answer in operation["responses"].items():
+                if int(status) >= 400:
+                    problem = answer["content"]["application/problem+json"]
+                    assert ProblemDetails.model_validate(problem["example"]).status == int(status)
+
+
+def test_openapi_examples_are_genuine(service: RunningService) -> None:
+    from boxlift.formats.calibration import parse_calibration
+    from boxlift.formats.kitti_label import parse_text
+    from boxlift.formats.prompts import parse_prompts
+
+    operation = service.client.get("/openapi.json").json()["paths"]["/label"]["post"]
+    fields = operation["requestBody"]["content"]["multipart/form-data"]["schema"]["properties"]
+    assert set(fields) == {"points", "calib", "prompts", "image", "masks", "options", "name"}
+    for example in fields["calib"]["examples"]:
+        parse_calibration(example)
+    assert parse_prompts(fields["prompts"]["examples"][0])
+    options = json.loads(fields["options"]["examples"][0])
+    assert PRESETS[options.pop("preset")].with_options(options).fit.method == "adam"
+    assert "grid_steps" in fields["options"]["contentSchema"]["properties"]["fit"]["properties"]
+    answers = operation["responses"]["200"]["content"]
+    assert LabelAnswer.model_validate(answers["application/json"]["example"]).objects[0].category == "Car"
+    assert parse_text(answers["text/plain"]["example"], "example")[0].score == 0.8714

@@ -1,0 +1,23 @@
+from __future__ import annotations
+
+import pytest
+
+from boxlift.errors import OptionsError
+from boxlift_service import ServiceSettings
+
+
+def test_variables_override_defaults() -> None:
+    environment = {"BOXLIFT_PORT": "9000", "BOXLIFT_MAX_POINTS": "5", "BOXLIFT_URL": "not ours"}
+    assert ServiceSettings.from_environment(environment) == ServiceSettings(port=9000, max_points=5)
+    assert ServiceSettings.from_environment({}) == ServiceSettings()
+
+
+def test_a_wrong_variable_is_named() -> None:
+    with pytest.raises(OptionsError) as caught:
+        ServiceSettings.from_environment({"BOXLIFT_PORT": "http"})
+    assert caught.value.field == "BOXLIFT_PORT"
+    assert "'http'" in caught.value.problem
+
+
+def test_the_service_is_closed_to_others_by_default() -> None:
+    assert ServiceSettings().host == "127.0.0.1"
