@@ -7,7 +7,7 @@ from pathlib import Path
 from time import perf_counter
 
 from boxlift.datasets.generated import GeneratedFrame, generate, write_dataset
-from boxlift.evaluation import evaluate_folders
+from boxlift.evaluation import Evaluation, evaluate_folders
 from boxlift_client.cli.progress import OnProgress, progress_bar
 from boxlift_client.engines.http import HttpEngine
 from boxlift_client.job import LabelJob
@@ -17,6 +17,7 @@ from boxlift_client.service_process import running_service
 from boxlift_client.summary import RunSummary
 
 _PROMPTS = "label_2"
+_COLUMNS = "{:12}{:>8}{:>8}{:>14}{:>14}{:>13}{:>11}{:>13}"
 
 
 def run_demo(out: Path, frame_count: int, seed: int) -> RunSummary:
@@ -34,11 +35,13 @@ def run_demo(out: Path, frame_count: int, seed: int) -> RunSummary:
         summary = label_dataset(job, HttpEngine(url), names, progress)
     print(f"Labelled over HTTP, prompts from {_PROMPTS}: {labels}\n{summary.text()}\n")
 
-    print(evaluate_folders(dataset / "training" / "label_2", labels, names).to_table(), end="\n\n")
+    truth = dataset / "training" / "label_2"
+    print(f"{_quality_table(evaluate_folders(truth, labels, names))}\n")
 
     for name in names:
         write_picture(pictures / f"{name}.png", draw_labels_on_disk(dataset, name, labels, _PROMPTS))
     print(f"Pictures of labels (coloured) and truth (white): {pictures}/*.png")
+    print(f"Every number: boxlift evaluate --gt {truth} --pred {labels}")
     return summary
 
 
@@ -46,3 +49,23 @@ def _generated(frame_count: int, seed: int, on_progress: OnProgress) -> Iterator
     for index in range(frame_count):
         on_progress(index, frame_count)
         yield generate(seed + index)
+
+
+def _quality_table(evaluation: Evaluation) -> str:
+    """One line per class: each truth that KITTI's hard difficulty counts against its own prompt's box."""
+    head = ("class", "truths", "boxes", "BEV strict", "BEV loose", "mean IoU 3D", "centre m", "yaw mod 180")
+    lines = [
+        "Each truth against the box of its own prompt (medians of centre and yaw):",
+        _COLUMNS.format(*head),
+    ]
+    for category, groups in evaluation.pseudo_labels.items():
+        for group in (group for group in groups if group.group == "hard" and group.truths):
+            found = [f"{_decimals(at.recall_bev)} @ {at.iou:g}" for at in group.at_iou]
+            errors = (group.mean_iou_3d, group.center_error_median_m, group.yaw_error_modulo_180_median_deg)
+            cells = (group.truths, group.associated, *found, *map(_decimals, errors))
+            lines.append(_COLUMNS.format(category, *cells))
+    return "\n".join(lines)
+
+
+def _decimals(number: float | None) -> str:
+    return "-" if number is None else f"{number:.2f}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from time import perf_counter
@@ -66,9 +66,9 @@ class FrameWorker:
         """
         start = perf_counter()
         try:
+            frame = self._source.load(name, masks=self._job.masks)
             prompts = load_prompts(self._job.prompts, self._source, name)
-            frame = self._source.load(name, prompts, masks=self._job.masks)
-            details = self._label(frame)
+            details = self._label(replace(frame, prompts=prompts))
             write_label_files(self._job.out, name, details)
         except MissingExtraError:
             raise

@@ -1,0 +1,33 @@
+"""A small generated dataset, and the real service on a port of its own, shared by all tests here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from boxlift.datasets.generated import generate, write_dataset
+from boxlift_client.service_process import running_service
+
+
+@pytest.fixture(scope="session")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Root of three generated frames 000000 to 000002 in KITTI object layout. Copy it to change it."""
+    root = tmp_path_factory.mktemp("dataset")
+    write_dataset(root, (generate(seed) for seed in range(3)))
+    return root
+
+
+@pytest.fixture(scope="session")
+def service_url() -> Iterator[str]:
+    """Where the real service answers."""
+    with running_service() as url:
+        yield url
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _one_thread() -> None:
+    """As in every worker: threads of torch that wait for each other cost a busy machine seconds."""
+    torch.set_num_threads(1)
