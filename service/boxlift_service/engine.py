@@ -25,7 +25,7 @@ class Engine:
     """
 
     def __init__(self, settings: ServiceSettings) -> None:
-        self._torch_threads = settings.torch_threads
+        self._threads = settings.threads_per_worker
         self._executor = ThreadPoolExecutor(settings.worker_threads, thread_name_prefix="boxlift-worker")
         self._warm_up: Future[str | None] | None = None
 
@@ -60,7 +60,7 @@ class Engine:
         import torch
 
         # The number of OpenMP threads belongs to the calling thread, so every worker sets it.
-        torch.set_num_threads(self._torch_threads)
+        torch.set_num_threads(self._threads)
         return work()
 
     def _warm_up_once(self) -> str | None:

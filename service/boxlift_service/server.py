@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from copy import deepcopy
 
 from boxlift.errors import MissingExtraError
@@ -14,6 +15,9 @@ def run(settings: ServiceSettings) -> None:
     Logs "Uvicorn running on http://HOST:PORT" to stderr once it listens, with the port that was taken
     where settings.port is 0. Raises MissingExtraError without the extra `serve`.
     """
+    # OpenMP reads it once, when Open3D and torch load. Threads that wait for each other by spinning made
+    # the ground plane five times slower on a machine with other work to do.
+    os.environ["OMP_NUM_THREADS"] = str(settings.threads_per_worker)
     try:
         import uvicorn
 

@@ -33,7 +33,9 @@ class ServiceSettings(BaseModel):
     max_image_pixels: int = Field(64_000_000, ge=1, description="Most pixels of an image or a mask image.")
     max_prompts: int = Field(1000, ge=1, le=65_535, description="Most prompts of a frame.")
     worker_threads: int = Field(1, ge=1, le=64, description="Frames that are labelled at the same time.")
-    torch_threads: int = Field(1, ge=1, le=256, description="CPU threads of torch in each worker thread.")
+    threads_per_worker: int = Field(
+        1, ge=1, le=256, description="CPU threads of torch and Open3D in a worker."
+    )
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> ServiceSettings:
