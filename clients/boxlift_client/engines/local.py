@@ -14,11 +14,13 @@ from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing.connection import wait as wait_for_end
 
 from boxlift_client.errors import WorkersCannotStartError
 from boxlift_client.job import FrameReport, FrameWorker, LabelJob, Outcome
 
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 # A worker holds about half a gigabyte: more of them are asked for by name.
 _MOST_WORKERS_UNASKED = 8
 # Starting a worker takes as long as labelling about this many frames.
@@ -65,7 +67,8 @@ def _map(
         _await_first_worker(pool)
         while waiting or in_flight:
             while waiting and len(in_flight) < in_flight_limit:
-                in_flight[pool.submit(_label_one, waiting[0])] = waiting[0]
+                with _single_threaded_children():
+                    in_flight[pool.submit(_label_one, waiting[0])] = waiting[0]
                 waiting.popleft()
             done, _ = wait(in_flight, return_when=FIRST_COMPLETED)
             # Those that finished before the pool broke come first, so that none of them is lost.
@@ -82,7 +85,9 @@ def _map(
 
 def _await_first_worker(pool: ProcessPoolExecutor) -> None:
     try:
-        reason = pool.submit(_why_not_ready).result()
+        with _single_threaded_children():
+            first = pool.submit(_why_not_ready)
+        reason = first.result()
     except BrokenProcessPool:
         reason = (
             "the processes end as soon as they start. Out of memory? A script that labels "
@@ -92,25 +97,39 @@ def _await_first_worker(pool: ProcessPoolExecutor) -> None:
         raise WorkersCannotStartError(f"The local workers cannot start: {reason}")
 
 
+@contextmanager
+def _single_threaded_children() -> Iterator[None]:
+    """Processes that are started here (by `submit`) compute in one thread each.
+
+    Frames are many and their arrays small: processes scale, while threads within one wait for each
+    other, busily. The libraries read these variables as they load, before any code of ours runs there.
+    """
+    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
 _worker: FrameWorker | None = None
 _not_ready = "the worker was not initialised."
 
 
 def _start_worker(job: LabelJob) -> None:
-    """In a new worker process: one thread of arithmetic, one labeller; or the reason why there is none."""
+    """In a new worker process: a labeller, or the reason why there is none."""
     global _worker, _not_ready
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    # Many small objects: processes scale, threads within one only wait for each other.
-    os.environ["OMP_NUM_THREADS"] = "1"
     try:
-        import torch
-
         from boxlift.extras import open3d
         from boxlift.formats.details import details_of
         from boxlift.labeller import Labeller
 
-        torch.set_num_threads(1)
         open3d()
     except ImportError as error:
         _not_ready = str(error)
