@@ -17,6 +17,11 @@ Floats = NDArray[np.float64]
 
 # Beyond this condition number an inverse has lost all the digits of a calibration file.
 _SINGULAR_CONDITION = 1e10
+# How far rotations may be from orthonormal, and z from the optical axis: files with two decimals pass.
+_LARGEST_SKEW = 0.02
+# Far beyond any vehicle and any lens.
+_LARGEST_OFFSET_M = 1000.0
+_LARGEST_PIXELS = 1e8
 
 
 @dataclass(frozen=True)
@@ -26,7 +31,8 @@ class Calibration:
     image_P_cam: (3, 4) projection of the rectified camera frame to pixels (KITTI's P2).
     cam_SE3_velo: (4, 4) LiDAR frame to rectified camera frame (KITTI's R0_rect @ Tr_velo_to_cam).
 
-    Raises CalibrationError where a matrix has the wrong shape, is not finite or is singular.
+    Raises CalibrationError where a matrix has the wrong shape, is not finite, is singular, or is no camera
+    or no rigid transform.
     """
 
     image_P_cam: Floats
@@ -49,6 +55,7 @@ class Calibration:
         scaled = self.image_P_cam / np.linalg.norm(self.image_P_cam[2, :3])
         scaled.setflags(write=False)
         object.__setattr__(self, "image_P_cam", scaled)
+        self._require_physical()
 
     @property
     def focal_px(self) -> tuple[float, float]:
@@ -94,6 +101,40 @@ class Calibration:
         rays = homogeneous * depth_m[..., None] - self.image_P_cam[:, 3]
         solved: Floats = np.linalg.solve(self.image_P_cam[:, :3], rays[..., None])[..., 0]
         return solved
+
+    def _require_physical(self) -> None:
+        """Matrices that are numbers but no camera and no LiDAR would give boxes that are no numbers."""
+        rotation, translation_m = self.cam_SE3_velo[:3, :3], self.cam_SE3_velo[:3, 3]
+        skew = np.abs(rotation @ rotation.T - np.eye(3)).max()
+        if (
+            not skew < _LARGEST_SKEW
+            or np.linalg.det(rotation) < 0
+            or (self.cam_SE3_velo[3] != (0, 0, 0, 1)).any()
+        ):
+            raise CalibrationError(
+                "cam_SE3_velo",
+                f"{self.cam_SE3_velo.tolist()} is no rigid transform.",
+                "Its rotation must be orthonormal and right-handed, its last row 0 0 0 1.",
+            )
+        if np.abs(translation_m).max() > _LARGEST_OFFSET_M:
+            raise CalibrationError(
+                "cam_SE3_velo",
+                f"the LiDAR would be at {translation_m.tolist()} m.",
+                f"Give metres, at most {_LARGEST_OFFSET_M:g} on an axis.",
+            )
+        axis = self.image_P_cam[2, :3]
+        if np.abs(axis - (0, 0, 1)).max() > _LARGEST_SKEW:
+            raise CalibrationError(
+                "image_P_cam",
+                f"its third row begins {axis.tolist()} (scaled to length 1).",
+                "It must begin 0 0 1: z of the rectified camera frame is depth.",
+            )
+        if np.abs(self.image_P_cam).max() > _LARGEST_PIXELS:
+            raise CalibrationError(
+                "image_P_cam",
+                f"{self.image_P_cam.tolist()} holds numbers that no camera has.",
+                f"Give pixels, at most {_LARGEST_PIXELS:g}.",
+            )
 
 
 def _finite_matrix(field: str, value: object, shape: tuple[int, int]) -> Floats:

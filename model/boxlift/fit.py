@@ -16,7 +16,7 @@ from torch import Tensor
 
 from boxlift.camera import Floats
 from boxlift.frame import LossTerms
-from boxlift.losses import BalancedLoss, BevBoxes, balanced_loss, point_density
+from boxlift.losses import BevBoxes, balanced_loss, point_density, point_losses
 from boxlift.settings import FitSettings, LossSettings
 
 # Beyond half the box's diagonal from the mean of its points a centre only gets worse; this is slack.
@@ -63,10 +63,24 @@ class _Batch:
     rotation_y: Tensor
     settings: LossSettings
 
-    def loss(self, center_xz: Tensor) -> BalancedLoss:
+    def boxes(self, center_xz: Tensor) -> BevBoxes:
+        """Boxes at centres (..., B, 2), relative to the anchors."""
+        return BevBoxes(center_xz + self.anchor_xz, self.length, self.width, self.rotation_y)
+
+    def loss(self, center_xz: Tensor) -> Tensor:
         """Centres (..., B, 2), relative to the anchors -> the balanced loss (..., B)."""
-        boxes = BevBoxes(center_xz + self.anchor_xz, self.length, self.width, self.rotation_y)
+        boxes = self.boxes(center_xz)
         return balanced_loss(self.points_xz, self.valid, boxes, self.origin_xz, self.settings, self.density)
+
+    def solutions(self, center_xz: Tensor) -> list[FitSolution]:
+        """The final centres (B, 2), relative to the anchors, with what the loss is made of there."""
+        boxes = self.boxes(center_xz)
+        means = point_losses(self.points_xz, boxes, self.origin_xz, self.settings).means(self.valid)
+        columns = torch.stack([*means, self.loss(center_xz)], dim=-1).tolist()
+        return [
+            FitSolution(xz, LossTerms(*terms))
+            for xz, terms in zip(boxes.center_xz.double().numpy(), columns, strict=True)
+        ]
 
 
 def fit_boxes(
@@ -83,11 +97,7 @@ def fit_boxes(
         batch = _stack(problems[start : start + _CHUNK], loss, pad_to)
         with torch.set_grad_enabled(settings.method == "adam"):
             center = minimise(batch, settings).detach()
-        with torch.no_grad():
-            terms = batch.loss(center)
-        for centre_xz, *values in zip((center + batch.anchor_xz).double().numpy(), *terms, strict=True):
-            total, geometric, ray, central = (float(value) for value in values)
-            solutions.append(FitSolution(centre_xz, LossTerms(geometric, ray, central, total)))
+        solutions += batch.solutions(center)
     return solutions
 
 
@@ -127,12 +137,12 @@ def _search(batch: _Batch, settings: FitSettings) -> Tensor:
     side = torch.arange(-settings.grid_steps, settings.grid_steps + 1, dtype=_DTYPE)
     quarters = torch.cartesian_prod(*[torch.tensor([-0.25, 0.25], dtype=_DTYPE)] * 2)[:, None, None]
     cells = torch.cartesian_prod(side, side)[:, None] * step[:, None]
-    total = batch.loss(cells).total
+    total = batch.loss(cells)
     best, lowest = _lowest(cells, total, 1)
     for _ in range(settings.levels):
         kept, _ = _lowest(cells, total, settings.beam_width)
         cells = (kept + quarters * step[:, None]).flatten(0, 1)
-        total = batch.loss(cells).total
+        total = batch.loss(cells)
         step = step / 2
         level_best, level_lowest = _lowest(cells, total, 1)
         improved = level_lowest < lowest
@@ -155,6 +165,6 @@ def _adam(batch: _Batch, settings: FitSettings) -> Tensor:
     center = torch.zeros_like(batch.anchor_xz, requires_grad=True)
     optimiser = torch.optim.Adam([center], lr=settings.adam_learning_rate)
     for _ in range(settings.adam_steps):
-        (center.grad,) = torch.autograd.grad(batch.loss(center).total.sum(), [center])
+        (center.grad,) = torch.autograd.grad(batch.loss(center).sum(), [center])
         optimiser.step()
     return center

@@ -49,13 +49,22 @@ class BevBoxes:
         return points_xz[..., 0] - center[..., 0], points_xz[..., 1] - center[..., 1]
 
 
-class BalancedLoss(NamedTuple):
-    """Balanced loss of equation 5 and its unweighted, unbalanced means for the reader; all (...)."""
+class PointLosses(NamedTuple):
+    """The losses of each point (..., M), metres, and whether its ray hits the box."""
 
-    total: Tensor
     geometric: Tensor
     ray_tracing: Tensor
     center: Tensor
+    hit: Tensor
+
+    def means(self, valid: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Geometric, ray-tracing and centre loss (...) averaged over the valid points, for the reader."""
+        weight = valid.to(self.geometric.dtype)
+        geometric, ray, center = (
+            (loss * weight).sum(-1) / weight.sum(-1).clamp(min=1)
+            for loss in (self.geometric, self.ray_tracing, self.center)
+        )
+        return geometric, ray, center
 
 
 def geometric_alignment(points_xz: Tensor, boxes: BevBoxes) -> Tensor:
@@ -65,13 +74,14 @@ def geometric_alignment(points_xz: Tensor, boxes: BevBoxes) -> Tensor:
     """
     x, z = boxes.offset(points_xz)
     along, across = boxes.to_box_frame(x, z)
-    half_width = boxes.width[..., None] / 2
+    # All points move sideways by a micrometre: it shows only where the offset itself is zero.
+    nudge = _EPS * (torch.sin(boxes.rotation_y).abs() + torch.cos(boxes.rotation_y).abs())[..., None]
+    distance = x.abs() + z.abs() + nudge
     # The ray p = s * e leaves the box at e, where the larger of its two relative coordinates is one.
-    s = torch.maximum(along.abs() * (2 / boxes.length[..., None]), across.abs() / half_width)
-    length = x.abs() + z.abs()
-    distance = (length - length / s.clamp(min=_EPS)).abs()
-    side = half_width * (torch.sin(boxes.rotation_y).abs() + torch.cos(boxes.rotation_y).abs())[..., None]
-    return torch.where(s < _EPS, side, distance)
+    s = torch.maximum(
+        along.abs() * (2 / boxes.length[..., None]), (across.abs() + _EPS) * (2 / boxes.width[..., None])
+    )
+    return (distance - distance / s).abs()
 
 
 def ray_tracing(points_xz: Tensor, boxes: BevBoxes, origin_xz: Tensor) -> tuple[Tensor, Tensor]:
@@ -102,9 +112,8 @@ def center_distance(points_xz: Tensor, boxes: BevBoxes, norm: str = "euclidean")
     x, z = boxes.offset(points_xz)
     if norm == "l1":
         return x.abs() + z.abs()
-    squared = x * x + z * z
-    at_center = squared < _EPS**2
-    return torch.where(at_center, 0.0, torch.where(at_center, 1.0, squared).sqrt())
+    # The constant keeps the gradient at the centre finite and moves no value by more than a micrometre.
+    return (x * x + z * z + _EPS**2).sqrt()
 
 
 def point_density(points_xz: Tensor, valid: Tensor, radius_m: float) -> Tensor:
@@ -117,6 +126,19 @@ def point_density(points_xz: Tensor, valid: Tensor, radius_m: float) -> Tensor:
     return neighbours.sum(-1).clamp(min=1).to(points_xz.dtype)
 
 
+def point_losses(
+    points_xz: Tensor, boxes: BevBoxes, origin_xz: Tensor, settings: LossSettings
+) -> PointLosses:
+    """All losses of each point, neither weighted nor balanced."""
+    ray, hit = ray_tracing(points_xz, boxes, origin_xz)
+    return PointLosses(
+        geometric=geometric_alignment(points_xz, boxes),
+        ray_tracing=ray,
+        center=center_distance(points_xz, boxes, settings.center_norm),
+        hit=hit,
+    )
+
+
 def balanced_loss(
     points_xz: Tensor,
     valid: Tensor,
@@ -124,33 +146,29 @@ def balanced_loss(
     origin_xz: Tensor,
     settings: LossSettings,
     density: Tensor | None = None,
-) -> BalancedLoss:
-    """The balanced loss (equation 5) of each box (...), averaged over its valid points.
+) -> Tensor:
+    """The balanced loss (...) of each box (equation 5), averaged over its valid points.
 
     `density` (..., M) may be given where many candidates share their points; else it is computed.
     A box without any valid point has loss 0.
     """
-    weight = valid.to(points_xz.dtype)
-    count = weight.sum(-1).clamp(min=1)
-    geometric = geometric_alignment(points_xz, boxes)
-    ray, hit = ray_tracing(points_xz, boxes, origin_xz)
-    center = center_distance(points_xz, boxes, settings.center_norm)
-    if not settings.balance_by_density:
-        balance = weight
-    elif density is None:
-        balance = weight / point_density(points_xz, valid, settings.density_radius_m)
-    else:
-        balance = weight / density
+    losses = point_losses(points_xz, boxes, origin_xz, settings)
+    balance = valid.to(points_xz.dtype)
+    count = balance.sum(-1).clamp(min=1)
+    if settings.balance_by_density:
+        if density is None:
+            density = point_density(points_xz, valid, settings.density_radius_m)
+        balance = balance / density
+    pointwise = settings.geometric_weight * losses.geometric + settings.center_weight * losses.center
+    ray_scale = _ray_scale(losses.hit, valid, count, boxes, settings)
+    return (pointwise * balance).sum(-1) / count + (losses.ray_tracing * balance).sum(-1) * ray_scale
 
-    pointwise = settings.geometric_weight * geometric + settings.center_weight * center
-    total = (pointwise * balance).sum(-1) / count
-    ray_scale = settings.ray_weight / count
-    if settings.ray_average == "hits" or settings.ray_min_hits or settings.ray_min_depth_m:
-        hits = (hit & valid).sum(-1)
-        if settings.ray_average == "hits":
-            ray_scale = settings.ray_weight / hits.clamp(min=1)
-        counts = (hits >= settings.ray_min_hits) & (boxes.center_xz[..., 1] > settings.ray_min_depth_m)
-        ray_scale = torch.where(counts, ray_scale, 0.0)
-    total = total + (ray * balance).sum(-1) * ray_scale
-    means = ((term * weight).sum(-1) / count for term in (geometric, ray, center))
-    return BalancedLoss(total, *means)
+
+def _ray_scale(hit: Tensor, valid: Tensor, count: Tensor, boxes: BevBoxes, settings: LossSettings) -> Tensor:
+    """What the sum of ray losses is multiplied by: 1 / count in the paper, by hits in the release."""
+    if settings.ray_average == "all" and not settings.ray_min_hits and not settings.ray_min_depth_m:
+        return settings.ray_weight / count
+    hits = (hit & valid).sum(-1)
+    averaged_over = hits.clamp(min=1) if settings.ray_average == "hits" else count
+    applies = (hits >= settings.ray_min_hits) & (boxes.center_xz[..., 1] > settings.ray_min_depth_m)
+    return torch.where(applies, settings.ray_weight / averaged_over, 0.0)

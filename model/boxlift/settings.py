@@ -50,7 +50,7 @@ class ObjectPointSettings(_Settings):
         0, ge=0, le=1000, description="Clusters smaller than this keep all their points."
     )
     sample_count: int = Field(
-        100, ge=3, le=10_000, description="Object points sampled at random (paper, appendix)."
+        100, ge=3, le=1000, description="Object points sampled at random (paper, appendix)."
     )
     sample_with_replacement: bool = Field(False, description="Sample with replacement (release).")
 
@@ -59,7 +59,7 @@ class HeadingSettings(_Settings):
     """Heading from pair directions (paper, equation 7 and appendix 'Orientation Analysis')."""
 
     bin_rad: float = Field(
-        0.1, gt=0, le=1, description="Histogram bin of the pair directions (release rounds to 0.1)."
+        0.1, ge=0.001, le=1, description="Histogram bin of the pair directions (release rounds to 0.1)."
     )
     fold_low_rad: float = Field(
         0.7853981633974483, ge=0, le=1.5707963267948966, description="Lower end of the fold (pi/4, paper)."
@@ -98,7 +98,7 @@ class FitSettings(_Settings):
         "search", description="Global search with refinement, or Adam from the points' centroid."
     )
     grid_steps: int = Field(
-        16, ge=2, le=200, description="Grid steps from the points' centroid to each side of the search."
+        24, ge=2, le=200, description="Grid steps from the points' centroid to each side of the search."
     )
     beam_width: int = Field(
         96, ge=1, le=10_000, description="Cells that the search splits further at every level."
