@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -71,6 +73,43 @@ def test_refusals(image_P_cam: np.ndarray, cam_SE3_velo: np.ndarray, field: str,
     assert caught.value.field == field
     assert says in caught.value.problem
     assert caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "value", "says"),
+    [
+        (0, 1, 1.0, "no rigid transform"),  # mirrored
+        (2, 0, 1.1, "no rigid transform"),  # stretched
+        (0, 0, 0.1, "no rigid transform"),  # sheared
+        (3, 0, 0.1, "no rigid transform"),
+        (0, 3, 1e100, "1e+100"),
+    ],
+)
+def test_a_lidar_that_cannot_be_is_refused(row: int, column: int, value: float, says: str) -> None:
+    matrix = CAM_SE3_VELO.copy()
+    matrix[row, column] = value
+    with pytest.raises(CalibrationError, match=re.escape(says)) as caught:
+        Calibration(P, matrix)
+    assert caught.value.field == "cam_SE3_velo"
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "value", "says"),
+    [(2, 0, 1e6, "third row"), (2, 2, -1.0, "third row"), (0, 3, 1e100, "no camera has")],
+)
+def test_a_camera_that_cannot_be_is_refused(row: int, column: int, value: float, says: str) -> None:
+    matrix = P.copy()
+    matrix[row, column] = value
+    with pytest.raises(CalibrationError, match=says) as caught:
+        Calibration(matrix, CAM_SE3_VELO)
+    assert caught.value.field == "image_P_cam"
+
+
+def test_rotations_rounded_to_two_decimals_pass() -> None:
+    angle = np.deg2rad(33)
+    turn = np.eye(4)
+    turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    Calibration(P, np.round(CAM_SE3_VELO @ turn, 2))
 
 
 def test_matrices_cannot_be_changed_from_outside() -> None:
