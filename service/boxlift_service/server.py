@@ -15,8 +15,8 @@ def run(settings: ServiceSettings) -> None:
     Logs "Uvicorn running on http://HOST:PORT" to stderr once it listens, with the port that was taken
     where settings.port is 0. Raises MissingExtraError without the extra `serve`.
     """
-    # OpenMP reads it once, when Open3D and torch load. Threads that wait for each other by spinning made
-    # the ground plane five times slower on a machine with other work to do.
+    # OpenMP reads it once, when Open3D and torch load. Threads that spin while they wait made
+    # the ground plane 2 to 5 times slower on a machine that was busy otherwise.
     os.environ["OMP_NUM_THREADS"] = str(settings.threads_per_worker)
     try:
         import uvicorn

@@ -62,6 +62,16 @@ BAD_FIELDS: dict[str, tuple[dict[str, bytes | None], str, str]] = {
     "singular calib": ({"calib": calib_text("0 0 0 0 0 0 0 0 0 0 0 0")}, "calib.P2", "singular"),
     "calib of words": ({"calib": calib_text("a 0 0 0 0 0 0 0 0 0 0 0")}, "calib.P2", "'a' is not a number"),
     "calib of NaN": ({"calib": calib_text("nan 0 0 0 0 0 0 0 0 0 0 0")}, "calib.P2", "not finite"),
+    "calib with a LiDAR far away": (
+        {"calib": calib_json(cam_T_velo=[[0, -1, 0, 1e150], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])},
+        "calib.cam_T_velo",
+        "1e+150",
+    ),
+    "calib mirrored": (
+        {"calib": calib_json(cam_T_velo=[[0, 1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])},
+        "calib.cam_T_velo",
+        "no rigid transform",
+    ),
     "calib without P2": ({"calib": b"P0: 1 2 3\n"}, "calib.P2", "no line P2"),
     "calib of NaN in JSON": ({"calib": b'{"P2": [[NaN]]}'}, "calib", "NaN"),
     "calib no JSON": ({"calib": b'{"P2": '}, "calib", "not JSON"),
@@ -102,6 +112,11 @@ BAD_FIELDS: dict[str, tuple[dict[str, bytes | None], str, str]] = {
     "options: preset no name": ({"options": b'{"preset": {"a": 1}}'}, "options.preset", "no preset"),
     "options: unknown setting": ({"options": b'{"fit": {"speed": 9}}'}, "options.fit.speed", "9"),
     "options: out of range": ({"options": b'{"fit": {"grid_steps": -1}}'}, "options.fit.grid_steps", "-1"),
+    "options: billions of bins": (
+        {"options": b'{"heading": {"bin_rad": 1e-9}}'},
+        "options.heading.bin_rad",
+        "",
+    ),
     "options: half a surrogate": ({"options": rb'{"\ud800": "\ud800"}'}, "options", "ud800"),
     "name is empty": ({"name": b""}, "name", "''"),
     "name is no UTF-8": ({"name": b"\xff"}, "name", "xff"),
