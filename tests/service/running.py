@@ -50,8 +50,15 @@ def running_service(**variables: str) -> Iterator[RunningService]:
                 _wait_until_ready(client)
                 yield RunningService(url, process, client)
         finally:
-            process.terminate()
-            process.wait(timeout=30)
+            _stop(process)
+
+
+def _stop(process: subprocess.Popen[str]) -> None:
+    process.terminate()
+    try:
+        process.wait(timeout=30)
+    except subprocess.TimeoutExpired:
+        process.kill()
 
 
 def _listening_url(process: subprocess.Popen[str]) -> str:
