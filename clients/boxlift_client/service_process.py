@@ -40,9 +40,12 @@ def running_service(timeout_s: float = 90.0) -> Iterator[str]:
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "service.log"
         with log.open("wb") as stream:
+            environment = _environment({"host": "127.0.0.1", "port": "0", "log_level": "info"})
+            # The linear algebra of a frame is small: more threads would only wait for each other.
+            environment.setdefault("OMP_NUM_THREADS", "1")
             process = subprocess.Popen(
                 [sys.executable, "-m", "boxlift_service"],
-                env=_environment({"host": "127.0.0.1", "port": "0", "log_level": "info"}),
+                env=environment,
                 stdin=subprocess.DEVNULL,
                 stdout=stream,
                 stderr=stream,

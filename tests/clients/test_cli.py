@@ -1,9 +1,12 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -142,6 +145,33 @@ def test_out_that_cannot_be_written(boxlift: Boxlift, dataset: Path, tmp_path: P
     assert (ran.status, ran.err.startswith("error: out: 'a.txt'")) == (2, True)
     ran = boxlift("show", dataset, "999999", "--out", tmp_path / "a.png")
     assert (ran.status, "there is no frame '999999'" in ran.err) == (2, True)
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_a_run_that_is_ended_keeps_what_is_finished(
+    dataset: Path, tmp_path: Path, how: signal.Signals
+) -> None:
+    root, out = tmp_path / "dataset", tmp_path / "out"
+    shutil.copytree(dataset, root)
+    hanging = root / "training" / "velodyne" / "000001.bin"
+    hanging.unlink()
+    os.mkfifo(hanging)  # whoever reads it waits for ever
+    command = "import sys; from boxlift_client.cli import main; main(sys.argv[1:])"
+    arguments = ["label", str(root), "--out", str(out), "--prompts", "label_2", "--workers", "1"]
+    run = subprocess.Popen([sys.executable, "-c", command, *arguments], stderr=subprocess.PIPE, text=True)
+    while True:  # until the worker has come to the frame that hangs
+        assert run.poll() is None
+        try:
+            os.close(os.open(hanging, os.O_WRONLY | os.O_NONBLOCK))
+        except OSError:
+            time.sleep(0.05)
+            continue
+        break
+    run.send_signal(how)
+    _, stderr = run.communicate()  # returns when the worker, which shares stderr, has ended too
+    assert [path.name for path in (out / "data").iterdir()] == ["000000.txt"]
+    assert run.returncode == (130 if how == signal.SIGINT else -signal.SIGKILL)
+    assert ("Interrupted." in stderr) == (how == signal.SIGINT)
 
 
 def test_demo(boxlift: Boxlift, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from boxlift_client.engines import Engine
 
 _DETECTOR = "detector"
+_INTERRUPTED = 130  # as shells count: 128 + SIGINT
 
 
 def label(
@@ -81,8 +83,12 @@ def label(
     )
     chosen_engine = _engine(engine, url, workers)
     names = None if frames is None else read_frames(frames)
-    with progress_bar("Labelling") as progress:
-        summary = label_dataset(job, chosen_engine, names, progress)
+    try:
+        with progress_bar("Labelling") as progress:
+            summary = label_dataset(job, chosen_engine, names, progress)
+    except KeyboardInterrupt:
+        print(f"Interrupted. The frames that were finished are in {out}.", file=sys.stderr)
+        raise typer.Exit(_INTERRUPTED) from None
     print(summary.text())
     print(f"Labels are in {out / 'data'}, details in {out / 'details'}.")
     if not summary.complete:

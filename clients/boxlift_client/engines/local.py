@@ -15,7 +15,7 @@ from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing.connection import wait as wait_for_end
+from multiprocessing.connection import Connection
 
 from boxlift_client.errors import WorkersCannotStartError
 from boxlift_client.job import FrameReport, FrameWorker, LabelJob, Outcome
@@ -60,9 +60,9 @@ def _map(
 ) -> Generator[FrameReport, None, list[str]]:
     """Label `waiting` until it is empty or a worker dies; returns the frames that were then in flight."""
     in_flight: dict[Future[FrameReport], str] = {}
-    pool = ProcessPoolExecutor(
-        workers, multiprocessing.get_context("spawn"), initializer=_start_worker, initargs=(job,)
-    )
+    context = multiprocessing.get_context("spawn")
+    lifeline, held_end = context.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(workers, context, initializer=_start_worker, initargs=(job, lifeline))
     try:
         _await_first_worker(pool)
         while waiting or in_flight:
@@ -78,8 +78,13 @@ def _map(
                 yield report
     except BrokenProcessPool:
         return list(in_flight.values())
+    except BaseException:  # Ctrl-C above all: what a worker still does is of no use, and might hang
+        held_end.close()
+        raise
     finally:
         pool.shutdown(cancel_futures=True)
+        held_end.close()
+        lifeline.close()
     return []
 
 
@@ -120,11 +125,11 @@ _worker: FrameWorker | None = None
 _not_ready = "the worker was not initialised."
 
 
-def _start_worker(job: LabelJob) -> None:
+def _start_worker(job: LabelJob, lifeline: Connection) -> None:
     """In a new worker process: a labeller, or the reason why there is none."""
     global _worker, _not_ready
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
     try:
         from boxlift.extras import open3d
         from boxlift.formats.details import details_of
@@ -138,12 +143,10 @@ def _start_worker(job: LabelJob) -> None:
     _worker = FrameWorker(job, lambda frame: details_of(labeller.label(frame)))
 
 
-def _end_with_parent() -> None:
-    """A worker whose parent was killed would wait for its next frame for ever."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        wait_for_end([parent.sentinel])
-        os._exit(1)
+def _end_with(lifeline: Connection) -> None:
+    """End this process when the parent lets go of its end, also by being killed."""
+    lifeline.poll(None)
+    os._exit(1)
 
 
 def _why_not_ready() -> str | None:
