@@ -13,9 +13,12 @@ import os
 import threading
 from pathlib import Path
 
+from pydantic import ValidationError
+
+from boxlift.errors import LabelFormatError
 from boxlift.formats import kitti_label
-from boxlift.formats.details import FrameDetails, KittiDetails
-from boxlift.formats.kitti_label import KittiObject
+from boxlift.formats.details import FrameDetails, KittiDetails, ObjectDetails, parse_text
+from boxlift.formats.kitti_label import UNKNOWN_ANGLE, UNKNOWN_LOCATION, UNKNOWN_SIZE, KittiObject
 
 
 def data_path(out: Path, name: str) -> Path:
@@ -42,6 +45,32 @@ def kitti_text(details: FrameDetails) -> str:
 def details_text(details: FrameDetails) -> str:
     """A frame's details as the JSON of its file."""
     return details.model_dump_json(by_alias=True, indent=2) + "\n"
+
+
+def read_objects(path: Path) -> list[KittiObject]:
+    """The prompts of a details file as KITTI lines, in their order; one without a box has placeholders.
+
+    Raises LabelFormatError.
+    """
+    try:
+        details = parse_text(path.read_bytes())
+    except ValidationError as error:
+        problem = f"the file holds no details of boxlift ({error.errors()[0]['msg']})."
+        raise LabelFormatError(str(path), problem, "Label the frame again.") from None
+    return [_kitti_object(item.kitti) if item.kitti else _without_box(item) for item in details.objects]
+
+
+def _without_box(item: ObjectDetails) -> KittiObject:
+    return KittiObject(
+        category=item.category,
+        truncated=-1.0,
+        occluded=-1,
+        alpha=UNKNOWN_ANGLE,
+        box_px=item.prompt_box_px,
+        size_hwl_m=UNKNOWN_SIZE,
+        bottom_center_cam=UNKNOWN_LOCATION,
+        rotation_y=UNKNOWN_ANGLE,
+    )
 
 
 def _kitti_object(line: KittiDetails) -> KittiObject:

@@ -11,7 +11,9 @@ from boxlift.datasets import load_objects, load_prompts, open_source
 from boxlift.drawing import draw_frame, draw_objects
 from boxlift.errors import DatasetError, MissingExtraError, OptionsError
 from boxlift.formats import kitti_label
+from boxlift.formats.kitti_label import KittiObject
 from boxlift.settings import LabellerSettings
+from boxlift_client.label_files import data_path, details_path, read_objects
 
 Picture = NDArray[np.uint8]
 
@@ -19,14 +21,25 @@ Picture = NDArray[np.uint8]
 def draw_labels_on_disk(source: Path, name: str, pred: Path, gt: str | None = None) -> Picture:
     """(H, W, 3) RGB: a frame with the boxes of `pred` (its folder, or its data/) and the truth of `gt`.
 
-    Raises InputError where a file is missing or cannot be read.
+    Prompts that got no box are drawn too where `pred` has details. Raises InputError where a file is
+    missing or cannot be read.
     """
     folder = open_source(source)
-    labels = (pred / "data" if (pred / "data").is_dir() else pred) / f"{name}.txt"
+    truth = load_objects(gt, folder, name) if gt else []
+    frame = folder.load(name, with_image=True)
+    return draw_objects(frame, _objects_on_disk(pred, name), truth)
+
+
+def _objects_on_disk(pred: Path, name: str) -> list[KittiObject]:
+    if pred.name == "data" and not (pred / "data").is_dir():
+        pred = pred.parent
+    details = details_path(pred, name)
+    if details.is_file():
+        return read_objects(details)
+    labels = data_path(pred, name) if (pred / "data").is_dir() else pred / f"{name}.txt"
     if not labels.is_file():
         raise DatasetError(str(labels), f"frame {name!r} has no labels there.", "Label it first.")
-    truth = load_objects(gt, folder, name) if gt else []
-    return draw_objects(folder.load(name, with_image=True), kitti_label.read_file(labels), truth)
+    return kitti_label.read_file(labels)
 
 
 def draw_new_labels(

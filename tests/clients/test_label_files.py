@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from boxlift.boxes import Boxes3D
+from boxlift.errors import LabelFormatError
 from boxlift.formats import kitti_label
 from boxlift.formats.details import FrameDetails, details_of, parse_text
 from boxlift.frame import FrameLabels, ObjectLabel, Prompt, Result
-from boxlift_client.label_files import data_path, details_path, write_label_files
+from boxlift_client.label_files import data_path, details_path, read_objects, write_label_files
 
 
 def car_details(name: str = "a frame", sentence: str = "A box was fitted.") -> FrameDetails:
@@ -40,7 +41,12 @@ def test_two_files_that_read_back(tmp_path: Path) -> None:
     )
     assert parse_text((out / "details" / "a frame.json").read_text()) == details
     (line,) = kitti_label.read_file(data_path(out, "a frame"))
-    assert line.has_box3d
+    car, tram = read_objects(details_path(out, "a frame"))
+    assert car == line
+    assert (tram.category, tram.box_px, tram.has_box3d) == ("Tram", (1, 2, 3, 4), False)
+    (out / "details" / "a frame.json").write_text("{}")
+    with pytest.raises(LabelFormatError, match="no details of boxlift"):
+        read_objects(details_path(out, "a frame"))
 
 
 def test_no_objects_is_an_empty_file(tmp_path: Path) -> None:
