@@ -71,4 +71,7 @@ class MissingExtraError(BoxliftError, ImportError):
     def __init__(self, module: str, extra: str) -> None:
         self.module = module
         self.extra = extra
-        super().__init__(f"{module} is not installed; install it with: pip install 'boxlift[{extra}]'.")
+        super().__init__(module, extra)
+
+    def __str__(self) -> str:
+        return f"{self.module} is not installed; install it with: pip install 'boxlift[{self.extra}]'."

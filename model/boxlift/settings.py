@@ -26,7 +26,7 @@ class GroundSettings(_Settings):
     inlier_distance_m: float = Field(
         0.2, gt=0, le=2, description="Points this close to the plane are ground (ours)."
     )
-    iterations: int = Field(200, ge=1, le=10_000, description="RANSAC iterations (ours).")
+    iterations: int = Field(200, ge=1, le=2_000, description="RANSAC iterations (ours).")
     max_tilt_deg: float = Field(
         15.0, gt=0, le=90, description="A plane steeper than this against the camera is a wall (ours)."
     )
@@ -98,15 +98,15 @@ class FitSettings(_Settings):
         "search", description="Global search with refinement, or Adam from the points' centroid."
     )
     grid_steps: int = Field(
-        24, ge=2, le=200, description="Grid steps from the points' centroid to each side of the search."
+        24, ge=2, le=100, description="Grid steps from the points' centroid to each side of the search."
     )
     beam_width: int = Field(
-        96, ge=1, le=10_000, description="Cells that the search splits further at every level."
+        96, ge=1, le=1_000, description="Cells that the search splits further at every level."
     )
     levels: int = Field(
-        6, ge=0, le=20, description="Times that the search halves its cells: 6 end at 4 mm for a car."
+        6, ge=0, le=12, description="Times that the search halves its cells: 6 end at 4 mm for a car."
     )
-    adam_steps: int = Field(500, ge=1, le=100_000, description="Steps of Adam.")
+    adam_steps: int = Field(500, ge=1, le=5_000, description="Steps of Adam.")
     adam_learning_rate: float = Field(0.05, gt=0, le=10, description="Learning rate of Adam, metres.")
 
 

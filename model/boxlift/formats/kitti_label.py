@@ -59,7 +59,8 @@ class KittiObject:
 
 
 def _number(value: float, placeholders: tuple[float, ...] = ()) -> str:
-    return f"{value:.0f}" if value in placeholders else f"{value:.2f}"
+    # Adding zero turns -0.0, which rounding can leave, into 0.0.
+    return f"{value:.0f}" if value in placeholders else f"{round(value, 2) + 0.0:.2f}"
 
 
 def parse_line(line: str, where: str) -> KittiObject:
