@@ -15,6 +15,8 @@ from boxlift.settings import GroundSettings
 
 # Open3D draws RANSAC samples from one generator per process.
 _OPEN3D_RANDOM = threading.Lock()
+# A plane has three unknowns; more points than this only cost time.
+_ENOUGH_POINTS = 5000
 # Walls can hold more points than the road; this many larger planes are set aside before giving up.
 _MAX_WALLS = 3
 
@@ -60,6 +62,7 @@ def fit_plane(points_cam: Floats, settings: GroundSettings, seed: int) -> Ground
     The camera's y axis is taken as roughly vertical.
     """
     o3d = open3d()
+    points_cam = points_cam[:: max(1, len(points_cam) // _ENOUGH_POINTS)]
     flat = np.cos(np.deg2rad(settings.max_tilt_deg))
     rest = points_cam
     for _ in range(_MAX_WALLS + 1):

@@ -58,27 +58,41 @@ class Labeller:
         with times.stage("points"):
             found = select_object_points(frame, visible, ground, self.settings.points)
         with times.stage("heading"):
-            candidates = [
-                _Candidate(item, heading)
-                for item in found
-                if isinstance(item, ObjectPoints)
-                for heading in heading_hypotheses(item.used, item.cluster, self.settings.heading)
-            ]
+            candidates = self._candidates(found)
         with times.stage("fit"):
-            fits = self._fit(frame, candidates)
+            problems = self._problems(frame, candidates)
+            fits = fit_boxes(
+                problems, self.settings.fit, self.settings.loss, self.settings.points.sample_count
+            )
         with times.stage("consistency"):
             boxes = self._place(frame, candidates, fits)
         with times.stage("confidence"):
             described = self._describe(frame, found, candidates, fits, boxes, ground.found)
         return FrameLabels(frame.name, described)
 
-    def _fit(self, frame: Frame, candidates: Sequence[_Candidate]) -> list[FitSolution]:
-        """Centre (x, z) of every candidate, sizes frozen."""
+    def fit_problems(self, frame: Frame) -> list[FitProblem]:
+        """What `label` hands to the fit: one problem per object and hypothesis. For benchmarks."""
+        visible = points_in_image(frame)
+        ground = find_ground(visible.cam, frame.name, self.settings.ground)
+        found = select_object_points(frame, visible, ground, self.settings.points)
+        return self._problems(frame, self._candidates(found))
+
+    def _candidates(self, found: Sequence[ObjectPoints | UnusablePrompt]) -> list[_Candidate]:
+        """Every object with every hypothesis of its heading, the chosen one first."""
+        return [
+            _Candidate(item, heading)
+            for item in found
+            if isinstance(item, ObjectPoints)
+            for heading in heading_hypotheses(item.used, item.cluster, self.settings.heading)
+        ]
+
+    def _problems(self, frame: Frame, candidates: Sequence[_Candidate]) -> list[FitProblem]:
+        """What is left to find for each candidate: its centre (x, z), size and heading frozen."""
         from_lidar = self.settings.loss.ray_origin == "lidar"
         calibration = frame.calibration
         origin_cam = calibration.lidar_center_cam if from_lidar else calibration.camera_center_cam
         priors = [SIZE_PRIORS[frame.prompts[item.points.prompt_index].category] for item in candidates]
-        problems = [
+        return [
             FitProblem(
                 points_xz=item.points.used[:, [0, 2]],
                 length_m=prior.length_m,
@@ -88,9 +102,6 @@ class Labeller:
             )
             for item, prior in zip(candidates, priors, strict=True)
         ]
-        return fit_boxes(
-            problems, self.settings.fit, self.settings.loss, pad_to=self.settings.points.sample_count
-        )
 
     def _place(self, frame: Frame, candidates: Sequence[_Candidate], fits: Sequence[FitSolution]) -> Boxes3D:
         """Boxes of all candidates, set on y by their points and then by their prompts."""

@@ -15,9 +15,8 @@ from boxlift.priors import SIZE_PRIORS
 from boxlift.seeds import seed_of
 from boxlift.settings import ObjectPointSettings
 
-
-# More points than this in one prompt are clustered through voxels. A lorry at 8 m has about 3,000.
-_CROWD = 4000
+# More points than this in one prompt are clustered through voxels; most objects have fewer.
+_CROWD = 1000
 
 
 @dataclass(frozen=True)
@@ -54,10 +53,11 @@ class UnusablePrompt:
 def points_in_image(frame: Frame) -> VisiblePoints:
     """The LiDAR points in front of the camera that project into the image."""
     points_cam = frame.calibration.velo_to_cam(frame.points_velo)
+    points_cam = points_cam[points_cam[:, 2] > 0]
     pixels, depth_m = frame.calibration.project(points_cam)
+    column_px, row_px = pixels.T
     width, height = frame.image_size_px
-    with np.errstate(invalid="ignore"):
-        inside = (depth_m > 0) & ((pixels >= 0) & (pixels < (width, height))).all(axis=1)
+    inside = (depth_m > 0) & (column_px >= 0) & (column_px < width) & (row_px >= 0) & (row_px < height)
     return VisiblePoints(points_cam[inside], pixels[inside])
 
 
@@ -138,9 +138,9 @@ def largest_cluster(points_cam: Floats, settings: ObjectPointSettings) -> NDArra
 def _thinned(points_cam: Floats, settings: ObjectPointSettings) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Which points to cluster (K,), and for every point (N,) which of those stands for it.
 
-    Usually all. DBSCAN holds every pair of neighbours, so that crowds beyond what a LiDAR sees on an
-    object would take minutes and gigabytes: there one point stands for its voxel, an eighth of the
-    radius wide, or a quarter where even these are many.
+    DBSCAN holds every pair of neighbours: quadratic in a crowd, and minutes and gigabytes for a hostile
+    one. There one point stands for its voxel, an eighth of the radius wide, or a quarter where even
+    these are many. The size of a cluster still counts all points.
     """
     everything = np.arange(len(points_cam))
     seen, represents = everything, everything

@@ -59,8 +59,7 @@ class KittiObject:
 
 
 def _number(value: float, placeholders: tuple[float, ...] = ()) -> str:
-    # Adding zero turns -0.0, which rounding can leave, into 0.0.
-    return f"{value:.0f}" if value in placeholders else f"{round(value, 2) + 0.0:.2f}"
+    return f"{value:.0f}" if value in placeholders else f"{value:.2f}"
 
 
 def parse_line(line: str, where: str) -> KittiObject:
@@ -134,9 +133,9 @@ def from_box3d(
     Alpha follows from the rounded location and rotation that the file will hold.
     """
     center = box.center_cam[0]
-    x, y, z = round(center[0], 2), round(float(box.bottom_y[0]), 2), round(center[2], 2)
-    rotation_y = round(float(box.rotation_y[0]), 2)
-    alpha = alpha_from_rotation_y(np.array(rotation_y), np.array([x, y, z]))
+    # Adding zero turns -0.0, which rounding can leave, into 0.0.
+    x, y, z, rotation_y = np.array([center[0], box.bottom_y[0], center[2], box.rotation_y[0]]).round(2) + 0.0
+    alpha = alpha_from_rotation_y(rotation_y, np.array([x, y, z])).round(2) + 0.0
     return KittiObject(
         category=category,
         truncated=truncated,
@@ -145,7 +144,7 @@ def from_box3d(
         box_px=box_px,
         size_hwl_m=(float(box.height_m[0]), float(box.width_m[0]), float(box.length_m[0])),
         bottom_center_cam=(float(x), float(y), float(z)),
-        rotation_y=rotation_y,
+        rotation_y=float(rotation_y),
         score=score,
     )
 
