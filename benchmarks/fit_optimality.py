@@ -99,7 +99,7 @@ def main() -> None:
         losses, per_object_ms = final_losses(problems, fit, settings)
         ratio = losses / minima
         print(
-            f"{name}: at most 1.01 x the brute-force minimum for {(ratio <= 1.01).mean():.2%} of the objects; "
+            f"{name}: {(ratio <= 1.01).mean():.2%} within 1.01 x the brute-force minimum; "
             f"ratio median {np.median(ratio):.4f}, worst {ratio.max():.3f}; {per_object_ms:.1f} ms an object"
         )
 
