@@ -106,6 +106,16 @@ def test_largest_cluster_wins_and_noise_never() -> None:
     assert largest_cluster(np.empty((0, 3)), PAPER.points).shape == (0,)
 
 
+@pytest.mark.parametrize("side_m", [0.5, 3.0])
+def test_a_crowd_is_clustered_as_a_whole_in_bounded_memory(side_m: float) -> None:
+    """DBSCAN alone would hold all pairs: gigabytes for 40,000 points in half a metre."""
+    rng = np.random.default_rng(0)
+    crowd = rng.uniform(0, side_m, size=(40_000, 3))
+    member = largest_cluster(np.concatenate([crowd, crowd[:500] + 20]), PAPER.points)
+    assert member[:40_000].all()
+    assert not member[40_000:].any()
+
+
 def test_vertical_filters_keep_the_lower_half() -> None:
     cluster = np.zeros((12, 3))
     cluster[:, 1] = [0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 4]  # y points down: 4 is the lowest point
