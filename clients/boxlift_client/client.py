@@ -68,12 +68,12 @@ class Client:
 
     def label_files(
         self,
-        points: Path | bytes,
-        calib: Path | bytes,
+        points: Path | str | bytes,
+        calib: Path | str | bytes,
         prompts: Sequence[Prompt],
         *,
-        image: Path | bytes | None = None,
-        masks: Path | bytes | None = None,
+        image: Path | str | bytes | None = None,
+        masks: Path | str | bytes | None = None,
         name: str | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> LabelAnswer:

@@ -10,8 +10,8 @@ from time import perf_counter
 
 from boxlift.datasets import FrameSource, load_prompts, open_source
 from boxlift.errors import BoxliftError, MissingExtraError, NoLidarError
-from boxlift.formats.details import FrameDetails
-from boxlift.frame import Frame
+from boxlift.formats.details import FrameDetails, details_of
+from boxlift.frame import Frame, FrameLabels, Result
 from boxlift.settings import PAPER, LabellerSettings
 from boxlift_client.label_files import write_label_files
 
@@ -36,7 +36,7 @@ class Outcome(StrEnum):
     """What became of a frame."""
 
     LABELLED = "labelled"
-    SKIPPED = "skipped"  # there is nothing to label it from
+    SKIPPED = "skipped"  # no LiDAR: the files are there, and say of every prompt that it has no box
     FAILED = "failed"
 
 
@@ -66,14 +66,19 @@ class FrameWorker:
         """
         start = perf_counter()
         try:
-            frame = self._source.load(name, masks=self._job.masks)
+            frame, outcome, sentence = None, Outcome.LABELLED, ""
+            try:
+                frame = self._source.load(name, masks=self._job.masks)
+            except NoLidarError as error:
+                outcome, sentence = Outcome.SKIPPED, str(error)
             prompts = load_prompts(self._job.prompts, self._source, name)
-            details = self._label(replace(frame, prompts=prompts))
+            if frame is None:
+                details = details_of(FrameLabels.without_boxes(name, prompts, Result.NO_LIDAR))
+            else:
+                details = self._label(replace(frame, prompts=prompts))
             write_label_files(self._job.out, name, details)
         except MissingExtraError:
             raise
-        except NoLidarError as error:
-            return FrameReport(name, Outcome.SKIPPED, str(error), seconds=perf_counter() - start)
         except BoxliftError as error:
             return FrameReport(name, Outcome.FAILED, str(error), seconds=perf_counter() - start)
         # One frame's surprise (a full disk, a fault of ours) must not cost the others.
@@ -81,4 +86,4 @@ class FrameWorker:
             sentence = f"{type(error).__name__}: {error}"
             return FrameReport(name, Outcome.FAILED, sentence, seconds=perf_counter() - start)
         results = tuple((item.result, item.sentence) for item in details.objects)
-        return FrameReport(name, Outcome.LABELLED, results=results, seconds=perf_counter() - start)
+        return FrameReport(name, outcome, sentence, results, seconds=perf_counter() - start)

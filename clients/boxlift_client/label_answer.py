@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
-from boxlift.formats.details import FrameDetails
+from boxlift.formats.details import FrameDetails, kitti_text
 from boxlift_client.errors import (
     Problem,
     RequestRefusedError,
@@ -15,7 +15,6 @@ from boxlift_client.errors import (
     ServiceProblemError,
     UnexpectedAnswerError,
 )
-from boxlift_client.label_files import kitti_text
 
 
 class LabelAnswer(FrameDetails):

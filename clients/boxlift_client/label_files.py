@@ -16,8 +16,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from boxlift.errors import LabelFormatError
-from boxlift.formats import kitti_label
-from boxlift.formats.details import FrameDetails, KittiDetails, ObjectDetails, parse_text
+from boxlift.formats.details import FrameDetails, ObjectDetails, kitti_object_of, kitti_text, parse_text
 from boxlift.formats.kitti_label import UNKNOWN_ANGLE, UNKNOWN_LOCATION, UNKNOWN_SIZE, KittiObject
 
 
@@ -37,11 +36,6 @@ def write_label_files(out: Path, name: str, details: FrameDetails) -> None:
     _write_atomically(data_path(out, name), kitti_text(details))
 
 
-def kitti_text(details: FrameDetails) -> str:
-    """A frame's boxes as KITTI result lines; empty for none."""
-    return kitti_label.to_text(_kitti_object(item.kitti) for item in details.objects if item.kitti)
-
-
 def details_text(details: FrameDetails) -> str:
     """A frame's details as the JSON of its file."""
     return details.model_dump_json(by_alias=True, indent=2) + "\n"
@@ -57,7 +51,7 @@ def read_objects(path: Path) -> list[KittiObject]:
     except ValidationError as error:
         problem = f"the file holds no details of boxlift ({error.errors()[0]['msg']})."
         raise LabelFormatError(str(path), problem, "Label the frame again.") from None
-    return [_kitti_object(item.kitti) if item.kitti else _without_box(item) for item in details.objects]
+    return [kitti_object_of(item.kitti) if item.kitti else _without_box(item) for item in details.objects]
 
 
 def _without_box(item: ObjectDetails) -> KittiObject:
@@ -70,20 +64,6 @@ def _without_box(item: ObjectDetails) -> KittiObject:
         size_hwl_m=UNKNOWN_SIZE,
         bottom_center_cam=UNKNOWN_LOCATION,
         rotation_y=UNKNOWN_ANGLE,
-    )
-
-
-def _kitti_object(line: KittiDetails) -> KittiObject:
-    return KittiObject(
-        category=line.type,
-        truncated=line.truncated,
-        occluded=line.occluded,
-        alpha=line.alpha,
-        box_px=line.bbox,
-        size_hwl_m=line.dimensions,
-        bottom_center_cam=line.location,
-        rotation_y=line.rotation_y,
-        score=line.score,
     )
 
 

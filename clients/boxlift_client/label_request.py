@@ -49,12 +49,12 @@ def form_of_frame(frame: Frame, settings: LabellerSettings) -> Form:
 
 
 def form_of_files(
-    points: Path | bytes,
-    calib: Path | bytes,
+    points: Path | str | bytes,
+    calib: Path | str | bytes,
     prompts: Sequence[Prompt],
     *,
-    image: Path | bytes | None = None,
-    masks: Path | bytes | None = None,
+    image: Path | str | bytes | None = None,
+    masks: Path | str | bytes | None = None,
     name: str | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Form:
@@ -75,11 +75,11 @@ def form_of_files(
     return form
 
 
-def _file(field: str, source: Path | bytes) -> tuple[str, bytes, str]:
+def _file(field: str, source: Path | str | bytes) -> tuple[str, bytes, str]:
     if isinstance(source, bytes):
         return field, source, _BINARY
     try:
-        return source.name, source.read_bytes(), _BINARY
+        return Path(source).name, Path(source).read_bytes(), _BINARY
     except OSError as error:
         raise InputError(field, f"{str(source)!r} cannot be read ({error.strerror}).", "Check it.") from None
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from time import perf_counter
 
 from boxlift.datasets import find_labels, open_source
-from boxlift.errors import OptionsError
+from boxlift.errors import DatasetError, OptionsError
 from boxlift_client.engines import Engine
 from boxlift_client.job import LabelJob
 from boxlift_client.summary import RunSummary
@@ -28,12 +28,15 @@ def label_dataset(
     source = open_source(job.source)
     find_labels(job.prompts, source)
     try:
-        job.out.mkdir(parents=True, exist_ok=True)
+        for folder in (job.out / "data", job.out / "details"):
+            folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OptionsError(
             "out", f"{str(job.out)!r} cannot be made ({error.strerror}).", "Give a folder to write to."
         ) from None
     chosen = source.names if names is None else list(dict.fromkeys(names))
+    if not chosen:
+        raise DatasetError(str(job.source), "there is no frame to label.", "Put point clouds into velodyne/.")
     summary = RunSummary()
     on_progress(0, len(chosen))
     for done, report in enumerate(engine.run(job, chosen), start=1):

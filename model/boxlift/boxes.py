@@ -22,7 +22,7 @@ _CORNER_WIDTH = np.array([1, 1, -1, -1, 1, 1, -1, -1]) / 2
 _CORNER_HEIGHT = np.array([1, 1, 1, 1, -1, -1, -1, -1]) / 2
 
 # A box that reaches behind the camera is cut here before it is projected.
-_NEAR_PLANE_M = 0.1
+NEAR_PLANE_M = 0.1
 
 
 @dataclass(frozen=True)
@@ -100,14 +100,14 @@ class Boxes3D:
         corners = self.corners()
         starts = corners[:, [0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3]]
         ends = corners[:, [1, 2, 3, 0, 5, 6, 7, 4, 4, 5, 6, 7]]
-        near = starts[..., 2].clip(_NEAR_PLANE_M), ends[..., 2].clip(_NEAR_PLANE_M)
+        near = starts[..., 2].clip(NEAR_PLANE_M), ends[..., 2].clip(NEAR_PLANE_M)
         step = ends - starts
         rise = np.where(np.abs(step[..., 2]) > 1e-9, step[..., 2], 1.0)
         cut = [
             starts + step * ((z - starts[..., 2]) / rise).clip(0, 1)[..., None] for z in near
         ]  # both ends of each edge, moved along it to the near plane where they lie behind it
         pixels, _ = calibration.project(np.concatenate(cut, axis=1))
-        behind = np.concatenate(cut, axis=1)[..., 2] < _NEAR_PLANE_M - 1e-6
+        behind = np.concatenate(cut, axis=1)[..., 2] < NEAR_PLANE_M - 1e-6
         low = np.where(behind[..., None], np.inf, pixels).min(axis=1)
         high = np.where(behind[..., None], -np.inf, pixels).max(axis=1)
         boxes_px = np.concatenate([low, high], axis=1)

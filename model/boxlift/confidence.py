@@ -1,4 +1,4 @@
-"""How far to trust a fitted box: a score in (0, 1) and named flags."""
+"""How far to trust a fitted box: a score in [0, 1] and named flags."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ _FEW_POINTS = 30
 def score_of(losses: LossTerms, points: PointCounts, prompt_score: float) -> float:
     """Rises with the number of points, falls with the distance of points from the box; not calibrated.
 
-    The misfit in metres against 0.15 log(points), through a logistic: an order, not a probability.
+    The misfit in metres against 0.15 log(points), through a logistic, times the score of the prompt cut
+    to [0, 1] (some detectors write logits): an order, not a probability.
     """
     misfit_m = losses.geometric + losses.ray_tracing
     evidence = 0.15 * math.log(max(points.in_cluster, 1)) - misfit_m
-    return prompt_score / (1 + math.exp(-4 * evidence))
+    # The hyperbolic tangent is the logistic that cannot overflow.
+    return min(max(prompt_score, 0.0), 1.0) * (1 + math.tanh(2 * evidence)) / 2
 
 
-def flags_of(points: PointCounts, *, truncated: bool, ground_found: bool) -> tuple[str, ...]:
+def flags_of(points: PointCounts, *, truncated: bool, ground_uncertain: bool) -> tuple[str, ...]:
     """Named reasons to look at a box twice, in a fixed order."""
     named = {
         "few_points": points.in_cluster < _FEW_POINTS,
@@ -30,6 +32,6 @@ def flags_of(points: PointCounts, *, truncated: bool, ground_found: bool) -> tup
         "heading_ambiguous": True,
         "truncated": truncated,
         "size_from_prior": True,
-        "ground_uncertain": not ground_found,
+        "ground_uncertain": ground_uncertain,
     }
     return tuple(name for name, holds in named.items() if holds)

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from boxlift.boxes import Boxes3D
+from boxlift.boxes import NEAR_PLANE_M, Boxes3D
 from boxlift.camera import Calibration, Floats
 from boxlift.settings import ConsistencySettings
 
@@ -56,7 +56,7 @@ def agree_with_prompts(
         return boxes
     usable = ~cut_edges(prompts_px, image_size_px)
     usable[:, [0, 2]] &= settings.adjust_x
-    usable &= boxes.corners()[..., 2].min(axis=1, keepdims=True) > 0
+    usable &= _before_camera(boxes, calibration)[:, None]
     limit = np.inf if settings.max_shift_m is None else settings.max_shift_m
 
     shift = np.zeros((len(boxes), len(names)))
@@ -75,6 +75,14 @@ def agree_with_prompts(
         gradient = np.einsum("nep,ne->np", jacobian, residual)
         shift = (shift - np.linalg.solve(normal, gradient[..., None])[..., 0]).clip(-limit, limit)
     return _shifted(boxes, names, shift)
+
+
+def _before_camera(boxes: Boxes3D, calibration: Calibration) -> NDArray[np.bool_]:
+    """(N,) whether all of a box lies before the camera; a shift along x or y does not change that."""
+    corners = boxes.corners()
+    _, depth_m = calibration.project(corners)
+    before: NDArray[np.bool_] = np.minimum(corners[..., 2], depth_m).min(axis=1) > NEAR_PLANE_M
+    return before
 
 
 def _residual(

@@ -75,9 +75,10 @@ class Result(Enum):
 
     FITTED = "A box was fitted."
     UNKNOWN_CLASS = "The class {category!r} has no size prior (known: {known})."
-    BAD_BOX = "The 2D box {box} has no area or is not finite; x2 > x1 and y2 > y1 are needed."
+    BAD_BOX = "The 2D box {box} has no area or absurd numbers; x2 > x1 and y2 > y1 in pixels are needed."
     BOX_OUTSIDE_IMAGE = "The 2D box {box} lies outside the image ({width} x {height} pixels)."
-    EMPTY_MASK = "The mask of this prompt has no pixel inside its 2D box."
+    EMPTY_MASK = "No pixel of the mask image inside the 2D box belongs to this prompt (prompt index + 1)."
+    NO_LIDAR = "The frame has no LiDAR points."
     TOO_FEW_POINTS = "Too few LiDAR points inside the 2D {region} ({found}, at least {needed} are needed)."
     TOO_FEW_OBJECT_POINTS = (
         "Too few LiDAR points left on the object after ground removal and clustering "
@@ -97,7 +98,10 @@ class LossTerms:
 
 @dataclass(frozen=True)
 class PointCounts:
-    """Points left after each step, from the prompt's region to the points that the losses see."""
+    """Points after each step, from the prompt's region to those that the losses see.
+
+    `used` are drawn from the cluster; with replacement (release) they may outnumber it.
+    """
 
     in_prompt: int = 0
     above_ground: int = 0
@@ -136,6 +140,12 @@ class FrameLabels:
 
     frame_name: str
     objects: tuple[ObjectLabel, ...]
+
+    @classmethod
+    def without_boxes(cls, frame_name: str, prompts: Sequence[Prompt], result: Result) -> FrameLabels:
+        """Labels that say the same of every prompt: `result`, whose sentence has nothing to fill in."""
+        objects = (ObjectLabel(i, prompt, result, result.value) for i, prompt in enumerate(prompts))
+        return cls(frame_name, tuple(objects))
 
     @property
     def fitted(self) -> Sequence[ObjectLabel]:

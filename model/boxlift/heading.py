@@ -22,7 +22,7 @@ def heading_hypotheses(
     used: Floats, cluster: Floats, settings: HeadingSettings
 ) -> tuple[HeadingHypothesis, ...]:
     """The headings of an object, the chosen one first, from its used (M, 3) and cluster (K, 3) points."""
-    direction = main_direction(used, settings.bin_rad)
+    direction = main_direction(used, settings)
     extent_m = x_extent(used if settings.x_extent_of == "used" else cluster)
     chosen, perpendicular = resolve_heading(direction, extent_m, settings)
     longer = "longer" if extent_m > settings.x_extent_threshold_m else "not longer"
@@ -33,11 +33,11 @@ def heading_hypotheses(
     )
 
 
-def main_direction(points_cam: Floats, bin_rad: float) -> float:
+def main_direction(points_cam: Floats, settings: HeadingSettings) -> float:
     """The rotation_y, modulo pi in [0, pi), that most pairs of points (M, 3) share in the x-z plane.
 
-    A direction atan(dz / dx) is the negative of KITTI's rotation_y. The peak of the histogram is
-    refined to the mean of the directions that fall into it.
+    A direction atan(dz / dx) is the negative of KITTI's rotation_y. In the paper's histogram the answer is
+    the mean of the directions in the highest bin; in the release it is the rounded direction.
     """
     first, second = np.triu_indices(len(points_cam), k=1)
     step = points_cam[first] - points_cam[second]
@@ -45,7 +45,10 @@ def main_direction(points_cam: Floats, bin_rad: float) -> float:
     directions = np.arctan2(-step[apart, 2], step[apart, 0]) % np.pi
     if len(directions) == 0:
         return np.pi / 2
-    bins = max(1, round(np.pi / bin_rad))
+    if settings.direction == "rounded":
+        multiple = np.rint(directions / settings.bin_rad).astype(np.intp)
+        return float(np.bincount(multiple).argmax() * settings.bin_rad % np.pi)
+    bins = max(1, round(np.pi / settings.bin_rad))
     member = np.minimum((directions * bins / np.pi).astype(np.intp), bins - 1)
     peak = np.bincount(member, minlength=bins).argmax()
     return float(directions[member == peak].mean())

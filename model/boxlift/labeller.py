@@ -67,7 +67,8 @@ class Labeller:
         with times.stage("consistency"):
             boxes = self._place(frame, candidates, fits)
         with times.stage("confidence"):
-            described = self._describe(frame, found, candidates, fits, boxes, ground.found)
+            uncertain = self.settings.ground.remove and not ground.found
+            described = self._describe(frame, found, candidates, fits, boxes, uncertain)
         return FrameLabels(frame.name, described)
 
     def fit_problems(self, frame: Frame) -> list[FitProblem]:
@@ -130,7 +131,7 @@ class Labeller:
         candidates: Sequence[_Candidate],
         fits: Sequence[FitSolution],
         boxes: Boxes3D,
-        ground_found: bool,
+        ground_uncertain: bool,
     ) -> tuple[ObjectLabel, ...]:
         """One label per prompt: the first hypothesis of an object is its box, the others were rejected."""
         labels = []
@@ -152,7 +153,7 @@ class Labeller:
                     sentence=Result.FITTED.value,
                     box=boxes[chosen : chosen + 1],
                     score=score_of(fits[chosen].losses, item.counts, prompt.score),
-                    flags=flags_of(item.counts, truncated=truncated, ground_found=ground_found),
+                    flags=flags_of(item.counts, truncated=truncated, ground_uncertain=ground_uncertain),
                     losses=fits[chosen].losses,
                     points=item.counts,
                     rejected=tuple(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +16,8 @@ from boxlift.priors import SIZE_PRIORS
 from boxlift.seeds import seed_of
 from boxlift.settings import ObjectPointSettings
 
+# No image is as wide; a NaN is no edge either.
+_LARGEST_PX = 1e6
 # More points than this in one prompt are clustered through voxels; most objects have fewer.
 _CROWD = 1000
 
@@ -80,7 +83,7 @@ def check_prompt(prompt: Prompt, index: int, image_size_px: tuple[int, int]) -> 
     if prompt.category not in SIZE_PRIORS:
         result = Result.UNKNOWN_CLASS
         sentence = result.value.format(category=prompt.category, known=", ".join(sorted(SIZE_PRIORS)))
-    elif not (np.isfinite(prompt.box_px).all() and x2 > x1 and y2 > y1):
+    elif not (np.abs(prompt.box_px).max() < _LARGEST_PX and x2 > x1 and y2 > y1):
         result = Result.BAD_BOX
         sentence = result.value.format(box=box)
     elif x2 <= 0 or y2 <= 0 or x1 >= width or y1 >= height:
@@ -100,8 +103,14 @@ def _object_points(
     region = "box"
     if frame.instance_ids is not None:
         region = "mask"
-        columns, rows = points.pixels[inside].astype(np.intp).T
-        inside[inside] = frame.instance_ids[rows, columns] == index + 1
+        ids = frame.instance_ids
+        around = ids[max(0, int(y1)) : math.ceil(y2) + 1, max(0, int(x1)) : math.ceil(x2) + 1]
+        if not (around == index + 1).any():
+            return UnusablePrompt(index, Result.EMPTY_MASK, Result.EMPTY_MASK.value)
+        # Pixel (0, 0) is centred on the coordinates (0, 0).
+        columns, rows = np.rint(points.pixels[inside]).astype(np.intp).T
+        rows, columns = np.minimum(rows, ids.shape[0] - 1), np.minimum(columns, ids.shape[1] - 1)
+        inside[inside] = ids[rows, columns] == index + 1
     initial = int(inside.sum())
     needed = settings.min_points
     if initial < needed:
@@ -140,7 +149,8 @@ def _thinned(points_cam: Floats, settings: ObjectPointSettings) -> tuple[NDArray
 
     DBSCAN holds every pair of neighbours: quadratic in a crowd, and minutes and gigabytes for a hostile
     one. There one point stands for its voxel, an eighth of the radius wide, or a quarter where even
-    these are many. The size of a cluster still counts all points.
+    these are many. The size of a cluster still counts all points; what makes a point a core point counts
+    voxels, which differs only where points lie closer than those are wide.
     """
     everything = np.arange(len(points_cam))
     seen, represents = everything, everything
@@ -159,11 +169,12 @@ def lower_half(cluster: Floats, settings: ObjectPointSettings) -> NDArray[np.boo
     from above (bonnet, windscreen) and would pull the box.
     """
     y = cluster[:, 1]
-    if settings.vertical_filter == "none" or len(cluster) < settings.vertical_filter_min_points:
-        return np.ones(len(cluster), dtype=np.bool_)
+    everything = np.ones(len(cluster), dtype=np.bool_)
+    if settings.vertical_filter == "none":
+        return everything
     middle = np.median(y) if settings.vertical_filter == "median" else (y.min() + y.max()) / 2
     kept: NDArray[np.bool_] = y >= middle
-    return kept
+    return kept if kept.sum() >= settings.vertical_filter_min_points else everything
 
 
 def sample(points_cam: Floats, settings: ObjectPointSettings, rng: np.random.Generator) -> Floats:

@@ -2,7 +2,8 @@
 
 `paper` follows Peng et al., "WeakM3D: Towards Weakly Supervised Monocular 3D Object Detection" (ICLR
 2022); each constant names its equation or section. `release` follows the authors' published code.
-Where both are silent the number is ours and says so.
+Where both are silent the number is ours and says so. The release also drops masks with a score below 0.7:
+which prompts to send is the caller's choice here.
 """
 
 from __future__ import annotations
@@ -20,7 +21,10 @@ class _Settings(BaseModel):
 
 
 class GroundSettings(_Settings):
-    """RANSAC ground plane (paper, section 3.1 'Object-LiDAR-points'; Open3D)."""
+    """RANSAC ground plane (paper, section 3.1 'Object-LiDAR-points'; Open3D).
+
+    It is fitted to the points in the image, so that a sweep cropped to the camera's view labels alike.
+    """
 
     remove: bool = Field(True, description="Remove ground points before clustering.")
     inlier_distance_m: float = Field(
@@ -39,15 +43,17 @@ class ObjectPointSettings(_Settings):
         0.8, gt=0, le=10, description="DBSCAN radius (release; the paper gives none)."
     )
     cluster_min_points: int = Field(
-        10, ge=1, le=1000, description="DBSCAN core point threshold (release; the paper gives none)."
+        5, ge=1, le=1000, description="DBSCAN core point threshold (ours; release: 10)."
     )
-    min_points: int = Field(10, ge=3, le=1000, description="Objects with fewer points are refused (release).")
+    min_points: int = Field(
+        5, ge=3, le=1000, description="Objects with fewer points are refused (ours; release: 10)."
+    )
     vertical_filter: Literal["median", "mid_range", "none"] = Field(
         "median",
         description="Keep points at or below this height of the cluster: the lower half (paper, appendix).",
     )
     vertical_filter_min_points: int = Field(
-        0, ge=0, le=1000, description="Clusters smaller than this keep all their points."
+        0, ge=0, le=1000, description="Where the filter would leave fewer, all points stay (release: 10)."
     )
     sample_count: int = Field(
         100, ge=3, le=1000, description="Object points sampled at random (paper, appendix)."
@@ -58,8 +64,17 @@ class ObjectPointSettings(_Settings):
 class HeadingSettings(_Settings):
     """Heading from pair directions (paper, equation 7 and appendix 'Orientation Analysis')."""
 
+    direction: Literal["histogram", "rounded"] = Field(
+        "histogram",
+        description="Mean direction within the highest bin (paper), or the multiple of bin_rad that most "
+        "directions round to (release).",
+    )
+
     bin_rad: float = Field(
-        0.1, ge=0.001, le=1, description="Histogram bin of the pair directions (release rounds to 0.1)."
+        0.1,
+        ge=0.001,
+        le=1,
+        description="Histogram bin of the pair directions (release: 0.1; the paper gives none).",
     )
     fold_low_rad: float = Field(
         0.7853981633974483, ge=0, le=1.5707963267948966, description="Lower end of the fold (pi/4, paper)."
@@ -152,7 +167,7 @@ class LabellerSettings(_Settings):
             raise OptionsError(
                 name,
                 f"{first['msg']} (got {first['input']!r:.80}).",
-                "The settings page lists every option and its range.",
+                "GET /openapi.json and boxlift/settings.py list every option and its range.",
             ) from None
 
 
@@ -162,10 +177,14 @@ RELEASE = LabellerSettings(
     preset="release",
     ground=GroundSettings(remove=False),
     points=ObjectPointSettings(
-        vertical_filter="mid_range", vertical_filter_min_points=10, sample_with_replacement=True
+        cluster_min_points=10,
+        min_points=10,
+        vertical_filter="mid_range",
+        vertical_filter_min_points=10,
+        sample_with_replacement=True,
     ),
     heading=HeadingSettings(
-        fold_low_rad=0.39269908169872414, x_extent_threshold_m=4.0, x_extent_of="cluster"
+        direction="rounded", fold_low_rad=0.39269908169872414, x_extent_threshold_m=4.0, x_extent_of="cluster"
     ),
     loss=LossSettings(
         density_radius_m=0.2, center_norm="l1", ray_average="hits", ray_min_hits=3, ray_min_depth_m=3.0

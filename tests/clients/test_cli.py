@@ -133,7 +133,7 @@ def test_wrong_input_is_one_line_and_exit_status_2(
     assert ran.out == ""
     assert ran.err.startswith(f"error: {message}")
     assert ran.err.count("\n") == 1
-    assert not list(tmp_path.glob("out/*"))
+    assert not list(tmp_path.glob("out/*/*"))
 
 
 def test_out_that_cannot_be_written(boxlift: Boxlift, dataset: Path, tmp_path: Path) -> None:
@@ -162,13 +162,14 @@ def test_a_run_that_is_ended_keeps_what_is_finished(
     while True:  # until the worker has come to the frame that hangs
         assert run.poll() is None
         try:
-            os.close(os.open(hanging, os.O_WRONLY | os.O_NONBLOCK))
+            pipe = os.open(hanging, os.O_WRONLY | os.O_NONBLOCK)
         except OSError:
             time.sleep(0.05)
             continue
         break
     run.send_signal(how)
     _, stderr = run.communicate()  # returns when the worker, which shares stderr, has ended too
+    os.close(pipe)  # only now: closed earlier, the frame would end and the next one begin
     assert [path.name for path in (out / "data").iterdir()] == ["000000.txt"]
     assert run.returncode == (130 if how == signal.SIGINT else -signal.SIGKILL)
     assert ("Interrupted." in stderr) == (how == signal.SIGINT)

@@ -70,7 +70,10 @@ def test_what_is_wrong_with_a_frame_costs_no_other(dataset: Path, tmp_path: Path
     assert "has no such file" in sentences["no_prompts"]
     assert "has no calibration" in sentences["no_calibration"]
     assert "no frame 'not_there'" in sentences["not_there"]
-    assert sorted(path.stem for path in (out / "data").iterdir()) == NAMES
+    assert sorted(path.stem for path in (out / "data").iterdir()) == sorted([*NAMES, "no_lidar"])
+    assert (out / "data" / "no_lidar.txt").read_text() == ""
+    no_lidar = details.parse_text((out / "details" / "no_lidar.json").read_text())
+    assert {item.result for item in no_lidar.objects} == {"NO_LIDAR"}
     assert (out / "data" / "000001.txt").read_text() == ""  # no prompts, and still a file
     text = summary.text()
     assert text.startswith("8 frames: 3 labelled, 1 skipped, 4 failed")

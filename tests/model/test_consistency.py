@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from boxlift import Boxes3D
+from boxlift import Boxes3D, Calibration
 from boxlift.camera import Floats
 from boxlift.consistency import agree_with_prompts, cut_edges
 from boxlift.settings import PAPER, RELEASE
@@ -65,6 +65,20 @@ def test_a_box_that_reaches_behind_the_camera_stays() -> None:
     box = car(2.0, 1.0, -np.pi / 2)
     prompt = np.array([[700.0, 100.0, 1200.0, 300.0]])
     assert agree(box, prompt).center_cam.tolist() == box.center_cam.tolist()
+
+
+@pytest.mark.parametrize("settings", [PAPER.consistency, RELEASE.consistency])
+def test_a_camera_set_back_from_the_frame_gives_numbers(settings: object) -> None:
+    """With P[2, 3] < 0 a corner may lie before the frame's origin and yet behind the camera."""
+    matrix = CALIBRATION.image_P_cam.copy()
+    matrix[2, 3] = -2.0
+    calibration = Calibration(matrix, CALIBRATION.cam_SE3_velo)
+    assert isinstance(settings, type(PAPER.consistency))
+    for z in (1.5, 2.5, 4.0, 9.0):
+        prompt = np.array([[700.0, 100.0, 1200.0, 300.0]])
+        moved = agree_with_prompts(car(1.0, z, -1.2), prompt, calibration, IMAGE_SIZE_PX, settings)
+        assert np.isfinite(moved.center_cam).all()
+        assert np.isfinite(moved.height_m).all()
 
 
 def test_boxes_do_not_influence_each_other() -> None:

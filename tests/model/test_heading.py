@@ -16,17 +16,22 @@ def line(direction_rad: float, length_m: float = 3.0) -> np.ndarray[tuple[int, i
 
 @pytest.mark.parametrize("rotation_y", [0.1, 0.7, 1.4, 2.2, 3.0])
 def test_direction_has_the_sign_of_rotation_y(rotation_y: float) -> None:
-    assert main_direction(line(rotation_y), PAPER.heading.bin_rad) == pytest.approx(rotation_y, abs=1e-6)
+    assert main_direction(line(rotation_y), PAPER.heading) == pytest.approx(rotation_y, abs=1e-6)
+
+
+@pytest.mark.parametrize(("rotation_y", "rounded"), [(0.12, 0.1), (0.17, 0.2), (1.44, 1.4), (3.13, 3.1)])
+def test_release_rounds_the_direction(rotation_y: float, rounded: float) -> None:
+    assert main_direction(line(rotation_y), RELEASE.heading) == pytest.approx(rounded)
 
 
 def test_the_side_with_more_points_decides_between_two() -> None:
     points = np.concatenate([line(0.5, 4.0), line(0.5 + np.pi / 2, 1.0)[:8]])
-    assert main_direction(points, PAPER.heading.bin_rad) == pytest.approx(0.5, abs=0.05)
+    assert main_direction(points, PAPER.heading) == pytest.approx(0.5, abs=0.05)
 
 
 def test_points_in_one_place_have_no_direction_but_an_answer() -> None:
-    assert main_direction(np.ones((5, 3)), 0.1) == pytest.approx(np.pi / 2)
-    assert main_direction(np.ones((1, 3)), 0.1) == pytest.approx(np.pi / 2)
+    assert main_direction(np.ones((5, 3)), PAPER.heading) == pytest.approx(np.pi / 2)
+    assert main_direction(np.ones((1, 3)), PAPER.heading) == pytest.approx(np.pi / 2)
 
 
 @pytest.mark.parametrize(

@@ -64,9 +64,10 @@ PROMPT_ERRORS = [
     (Prompt("Car", (90, 50, 50, 90)), Result.BAD_BOX, "x2 > x1"),
     (Prompt("Car", (float("nan"), 0, 50, 90)), Result.BAD_BOX, "nan"),
     (Prompt("Car", (0, 0, float("inf"), 90)), Result.BAD_BOX, "inf"),
+    (Prompt("Car", (-1e300, -1e300, 1e300, 1e300)), Result.BAD_BOX, "absurd numbers"),
     (Prompt("Car", (-90, 10, -5, 50)), Result.BOX_OUTSIDE_IMAGE, "1242 x 375"),
     (Prompt("Car", (2000, 10, 2100, 50)), Result.BOX_OUTSIDE_IMAGE, "outside the image"),
-    (Prompt("Car", (10, 1, 60, 20)), Result.TOO_FEW_POINTS, "(0, at least 10 are needed)"),
+    (Prompt("Car", (10, 1, 60, 20)), Result.TOO_FEW_POINTS, "(0, at least 5 are needed)"),
 ]
 
 
@@ -86,7 +87,7 @@ def test_two_points_are_too_few() -> None:
     )
     (found,) = select(frame)
     assert isinstance(found, UnusablePrompt)
-    assert found.sentence == "Too few LiDAR points inside the 2D box (2, at least 10 are needed)."
+    assert found.sentence == "Too few LiDAR points inside the 2D box (2, at least 5 are needed)."
 
 
 def test_only_ground_under_a_prompt_is_no_object() -> None:
@@ -117,11 +118,34 @@ def test_a_crowd_is_clustered_as_a_whole_in_bounded_memory(side_m: float) -> Non
 
 
 def test_vertical_filters_keep_the_lower_half() -> None:
-    cluster = np.zeros((12, 3))
-    cluster[:, 1] = [0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 4]  # y points down: 4 is the lowest point
-    assert lower_half(cluster, PAPER.points).sum() == 12  # the median is 0
-    assert lower_half(cluster, RELEASE.points).sum() == 1  # the middle of the range is 2
-    assert lower_half(cluster[-9:], RELEASE.points).all()  # below 10 points all are kept
+    cluster = np.zeros((20, 3))
+    cluster[:, 1] = [0] * 8 + [3] * 11 + [4]  # y points down: 4 is the lowest point
+    assert lower_half(cluster, PAPER.points).sum() == 12  # at or below the median, 3
+    assert lower_half(cluster, RELEASE.points).sum() == 12  # at or below the middle of the range, 2
+    cluster[8:19, 1] = 1
+    assert lower_half(cluster, PAPER.points).sum() == 12  # the median is 1 now
+    assert lower_half(cluster, RELEASE.points).all()  # one point would be left: all are kept
+
+
+def test_a_mask_pixel_is_centred_on_its_coordinates() -> None:
+    box = car(3.0, 15.0, -1.4)
+    frame = frame_of([box])
+    visible = points_in_image(frame)
+    (x1, y1, x2, y2) = frame.prompts[0].box_px
+    column, row = visible.pixels.T
+    inside = (column >= x1) & (column <= x2) & (row >= y1) & (row <= y2)
+    ids = np.zeros(IMAGE_SIZE_PX[::-1], dtype=np.uint16)
+    ids[200, 680] = 1
+    expected = inside & (np.abs(column - 680) <= 0.5) & (np.abs(row - 200) <= 0.5)
+    (found,) = select(replace(frame, instance_ids=ids))
+    assert found.counts.in_prompt == expected.sum()
+
+
+def test_a_prompt_whose_mask_is_not_there_says_so() -> None:
+    frame = frame_of([car(3.0, 15.0, -1.4)])
+    (found,) = select(replace(frame, instance_ids=np.zeros(IMAGE_SIZE_PX[::-1], dtype=np.uint16)))
+    assert isinstance(found, UnusablePrompt)
+    assert found.result is Result.EMPTY_MASK
 
 
 def test_sampling_is_seeded_and_without_replacement_in_the_paper() -> None:

@@ -57,4 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except (BoxliftError, ImportError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(_USER_ERROR)
+    except OSError as error:
+        print(f"error: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
+        sys.exit(_USER_ERROR)
     sys.exit(0)

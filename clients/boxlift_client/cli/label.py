@@ -43,7 +43,8 @@ def label(
     masks: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help="Folder of instance masks STEM.png: pixel = prompt index + 1, 0 = none."
+            metavar="DIR",
+            help="Folder of instance masks STEM.png: pixel = prompt index + 1 (without DontCare), 0 = none.",
         ),
     ] = None,
     preset_name: Annotated[
@@ -68,7 +69,7 @@ def label(
     """Label every frame of a dataset.
 
     Writes OUT/data/STEM.txt (KITTI result format) and OUT/details/STEM.json (what became of every
-    prompt). Exits with 1 where frames failed; frames without LiDAR are skipped.
+    prompt). Exits with 1 where frames failed; frames without LiDAR are skipped: their files hold no box.
     """
     from boxlift_client.cli.progress import progress_bar
     from boxlift_client.job import LabelJob

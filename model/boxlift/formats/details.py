@@ -9,6 +9,7 @@ from __future__ import annotations
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
 from boxlift.boxes import Boxes3D
+from boxlift.formats import kitti_label
 from boxlift.formats.kitti_label import KittiObject, object_of
 from boxlift.frame import FrameLabels, Hypothesis, LossTerms, ObjectLabel, PointCounts
 
@@ -111,6 +112,26 @@ def to_text(labels: FrameLabels) -> str:
 def parse_text(text: str | bytes) -> FrameDetails:
     """The text of a details file -> its details. Raises pydantic's ValidationError."""
     return FrameDetails.model_validate_json(text)
+
+
+def kitti_text(details: FrameDetails) -> str:
+    """Details of a frame -> the text of data/STEM.txt: its boxes as KITTI result lines, empty for none."""
+    return kitti_label.to_text(kitti_object_of(item.kitti) for item in details.objects if item.kitti)
+
+
+def kitti_object_of(line: KittiDetails) -> KittiObject:
+    """The KITTI part of one object's details as a result line."""
+    return KittiObject(
+        category=line.type,
+        truncated=line.truncated,
+        occluded=line.occluded,
+        alpha=line.alpha,
+        box_px=line.bbox,
+        size_hwl_m=line.dimensions,
+        bottom_center_cam=line.location,
+        rotation_y=line.rotation_y,
+        score=line.score,
+    )
 
 
 def object_details_of(label: ObjectLabel) -> ObjectDetails:

@@ -7,7 +7,7 @@ from time import perf_counter
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from boxlift.formats import kitti_label
+from boxlift.formats.details import details_of, kitti_text
 from boxlift.labeller import Labeller
 from boxlift_service import documentation, timing
 from boxlift_service.answers import LabelAnswer, label_answer_of
@@ -82,5 +82,5 @@ def _label(
     labels = Labeller(request.settings).label(request.frame, times)
     with times.stage("encode"):
         if media_type == TEXT:
-            return kitti_label.to_text(kitti_label.objects_of(labels)).encode()
+            return kitti_text(details_of(labels)).encode()
         return label_answer_of(request, labels).model_dump_json(by_alias=True).encode()
