@@ -18,6 +18,7 @@ from pathlib import Path
 
 import torch
 
+from boxlift.datasets import open_source
 from boxlift.datasets.generated import RIGS, generate, write_dataset
 from boxlift.evaluation import evaluate_folders
 from boxlift.settings import PRESETS
@@ -43,11 +44,11 @@ def print_recall(
 
 
 def label(root: Path, out: Path, preset: str, masks: str | None = None) -> list[str]:
-    """Label a dataset with the prompts of its labels; the names of the frames that have labels now."""
+    """Label a dataset with the prompts of its labels; the names of the frames that have LiDAR."""
     folder = None if masks is None else root / "training" / masks
     job = LabelJob(source=root, out=out, prompts="label_2", masks=folder, settings=PRESETS[preset])
-    label_dataset(job, LocalEngine(workers=2))
-    return sorted(path.stem for path in (out / "data").glob("*.txt"))
+    unlabelled = {report.frame for report in label_dataset(job, LocalEngine(workers=2)).unlabelled}
+    return [name for name in open_source(root).names if name not in unlabelled]
 
 
 def main() -> None:
@@ -70,7 +71,7 @@ def main() -> None:
                 print_recall(f"{preset}, all drives", truth, out, frames)
                 for drive, names in drives_of(folder, frames).items():
                     print_recall(f"{preset}, {drive}", truth, out, names)
-        for rig in ("kitti", "roof32"):
+        for rig in ("kitti", "roof32") if arguments.generated else ():
             root = Path(scratch) / rig
             write_dataset(root, (generate(seed, RIGS[rig]) for seed in range(arguments.generated)))
             for preset in sorted(PRESETS):

@@ -156,7 +156,9 @@ def test_a_run_that_is_ended_keeps_what_is_finished(
     hanging = root / "training" / "velodyne" / "000001.bin"
     hanging.unlink()
     os.mkfifo(hanging)  # whoever reads it waits for ever
-    command = "import sys; from boxlift_client.cli import main; main(sys.argv[1:])"
+    # A shell's background jobs ignore Ctrl-C, and so would what they start: this process does not.
+    heed = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    command = f"{heed}; import sys; from boxlift_client.cli import main; main(sys.argv[1:])"
     arguments = ["label", str(root), "--out", str(out), "--prompts", "label_2", "--workers", "1"]
     run = subprocess.Popen([sys.executable, "-c", command, *arguments], stderr=subprocess.PIPE, text=True)
     while True:  # until the worker has come to the frame that hangs
