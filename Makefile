@@ -39,7 +39,6 @@ serve: $(READY)
 bench: $(READY)
 	$(BIN)/python benchmarks/fit_optimality.py
 	$(BIN)/python benchmarks/presets.py
-	$(BIN)/python benchmarks/prompts.py
 	$(BIN)/python benchmarks/evaluator.py
 	$(BIN)/python benchmarks/label_http.py
 
