@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from boxlift.frame import LossTerms, PointCounts
 
-# Flag an object that the losses saw through fewer points than this.
+# Flag an object whose cluster has fewer points than this.
 _FEW_POINTS = 30
 
 
