@@ -37,7 +37,7 @@ serve: $(READY)
 	$(BIN)/boxlift serve
 
 bench: $(READY)
-	$(BIN)/python benchmarks/fit_optimality.py
+	$(BIN)/python benchmarks/fit.py
 	$(BIN)/python benchmarks/presets.py
 	$(BIN)/python benchmarks/evaluator.py
 	$(BIN)/python benchmarks/label_http.py
