@@ -38,6 +38,7 @@ serve: $(READY)
 
 bench: $(READY)
 	$(BIN)/python benchmarks/fit.py
+	$(BIN)/python benchmarks/ablation.py
 	$(BIN)/python benchmarks/presets.py
 	$(BIN)/python benchmarks/evaluator.py
 	$(BIN)/python benchmarks/label_http.py
