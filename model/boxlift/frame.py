@@ -74,7 +74,7 @@ class Result(Enum):
     """How one prompt ended; the value is the sentence that a user reads (some with values to fill in)."""
 
     FITTED = "A box was fitted."
-    UNKNOWN_CLASS = "The class {category!r} has no size prior (known: {known})."
+    UNKNOWN_CLASS = "The class {category!r} has no size prior (known: {known}); declare one in a priors file."
     BAD_BOX = "The 2D box {box} has no area or absurd numbers; x2 > x1 and y2 > y1 in pixels are needed."
     BOX_OUTSIDE_IMAGE = "The 2D box {box} lies outside the image ({width} x {height} pixels)."
     EMPTY_MASK = "No pixel of the mask image inside the 2D box belongs to this prompt (prompt index + 1)."

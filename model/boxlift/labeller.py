@@ -17,7 +17,6 @@ from boxlift.frame import Frame, FrameLabels, Hypothesis, ObjectLabel, Result
 from boxlift.ground import find_ground
 from boxlift.heading import HeadingHypothesis, heading_hypotheses
 from boxlift.object_points import ObjectPoints, UnusablePrompt, points_in_image, select_object_points
-from boxlift.priors import SIZE_PRIORS
 from boxlift.settings import PAPER, LabellerSettings
 
 
@@ -56,7 +55,7 @@ class Labeller:
             visible = points_in_image(frame)
             ground = find_ground(visible.cam, frame.name, self.settings.ground)
         with times.stage("points"):
-            found = select_object_points(frame, visible, ground, self.settings.points)
+            found = select_object_points(frame, visible, ground, self.settings.points, self.settings.sizes)
         with times.stage("heading"):
             candidates = self._candidates(found)
         with times.stage("fit"):
@@ -75,7 +74,7 @@ class Labeller:
         """What `label` hands to the fit: one problem per object and hypothesis. For benchmarks."""
         visible = points_in_image(frame)
         ground = find_ground(visible.cam, frame.name, self.settings.ground)
-        found = select_object_points(frame, visible, ground, self.settings.points)
+        found = select_object_points(frame, visible, ground, self.settings.points, self.settings.sizes)
         return self._problems(frame, self._candidates(found))
 
     def _candidates(self, found: Sequence[ObjectPoints | UnusablePrompt]) -> list[_Candidate]:
@@ -92,7 +91,8 @@ class Labeller:
         from_lidar = self.settings.loss.ray_origin == "lidar"
         calibration = frame.calibration
         origin_cam = calibration.lidar_center_cam if from_lidar else calibration.camera_center_cam
-        priors = [SIZE_PRIORS[frame.prompts[item.points.prompt_index].category] for item in candidates]
+        sizes = self.settings.sizes
+        priors = [sizes[frame.prompts[item.points.prompt_index].category] for item in candidates]
         return [
             FitProblem(
                 points_xz=item.points.used[:, [0, 2]],
@@ -110,7 +110,7 @@ class Labeller:
             return Boxes3D.empty()
         settings = self.settings.consistency
         prompts = [frame.prompts[item.points.prompt_index] for item in candidates]
-        priors = [SIZE_PRIORS[prompt.category] for prompt in prompts]
+        priors = [self.settings.sizes[prompt.category] for prompt in prompts]
         # SmoothL1 to the mean y of the points (equation 6) has its minimum at that mean.
         y = [getattr(item.points, settings.y_from)[:, 1].mean() for item in candidates]
         x, z = np.stack([fit.center_xz for fit in fits]).T

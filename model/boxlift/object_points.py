@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +13,7 @@ from boxlift.camera import Floats
 from boxlift.extras import open3d
 from boxlift.frame import Frame, PointCounts, Prompt, Result
 from boxlift.ground import Ground
-from boxlift.priors import SIZE_PRIORS
+from boxlift.priors import SizePrior
 from boxlift.seeds import seed_of
 from boxlift.settings import ObjectPointSettings
 
@@ -65,24 +66,30 @@ def points_in_image(frame: Frame) -> VisiblePoints:
 
 
 def select_object_points(
-    frame: Frame, points: VisiblePoints, ground: Ground, settings: ObjectPointSettings
+    frame: Frame,
+    points: VisiblePoints,
+    ground: Ground,
+    settings: ObjectPointSettings,
+    sizes: Mapping[str, SizePrior],
 ) -> list[ObjectPoints | UnusablePrompt]:
     """Object points of every prompt, in the order of the prompts."""
     return [
-        check_prompt(prompt, index, frame.image_size_px)
+        check_prompt(prompt, index, frame.image_size_px, sizes)
         or _object_points(frame, points, ground, index, settings)
         for index, prompt in enumerate(frame.prompts)
     ]
 
 
-def check_prompt(prompt: Prompt, index: int, image_size_px: tuple[int, int]) -> UnusablePrompt | None:
+def check_prompt(
+    prompt: Prompt, index: int, image_size_px: tuple[int, int], sizes: Mapping[str, SizePrior]
+) -> UnusablePrompt | None:
     """Why a prompt cannot be used whatever the points are, or None."""
     x1, y1, x2, y2 = prompt.box_px
     width, height = image_size_px
     box = f"({x1:g}, {y1:g}, {x2:g}, {y2:g})"
-    if prompt.category not in SIZE_PRIORS:
+    if prompt.category not in sizes:
         result = Result.UNKNOWN_CLASS
-        sentence = result.value.format(category=prompt.category, known=", ".join(sorted(SIZE_PRIORS)))
+        sentence = result.value.format(category=prompt.category, known=", ".join(sorted(sizes)))
     elif not (np.abs(prompt.box_px).max() < _LARGEST_PX and x2 > x1 and y2 > y1):
         result = Result.BAD_BOX
         sentence = result.value.format(box=box)

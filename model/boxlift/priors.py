@@ -1,43 +1,118 @@
-"""Frozen sizes per class, each with a source that is not a 3D label."""
+"""Frozen sizes per class, each with a source that is not a 3D label.
+
+A user's own classes lie over these: see formats/size_priors.py and LabellerSettings.sizes.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+# A class is one word of a KITTI line.
+ClassName = Annotated[str, Field(pattern=r"^[\w.+-]{1,100}$")]
 
 
-@dataclass(frozen=True)
-class SizePrior:
-    """The frozen size of a class in metres, and where it comes from."""
+class _Size(BaseModel):
+    """Metres and their source; what lies outside the ranges (ours) is another unit or no road user."""
 
-    height_m: float
-    width_m: float
-    length_m: float
-    source: str
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    height_m: float = Field(ge=0.1, le=10, description="Height in metres.")
+    width_m: float = Field(ge=0.1, le=10, description="Width in metres, without mirrors.")
+    length_m: float = Field(ge=0.1, le=50, description="Length in metres.")
+    source: str = Field(
+        max_length=500,
+        pattern=r"\S",
+        description="Where the size comes from; never a statistic of 3D labels.",
+    )
+
+
+class SizeTemplate(_Size):
+    """One common member of a class, e.g. the estate among cars."""
+
+    name: str = Field(min_length=1, max_length=100, description="What it is called.")
+
+
+class SizePrior(_Size):
+    """The frozen size of a class."""
+
+    templates: tuple[SizeTemplate, ...] = Field(
+        (), max_length=20, description="Sizes that members of the class commonly have."
+    )
+
+
+def _template(name: str, height_m: float, width_m: float, length_m: float, source: str) -> SizeTemplate:
+    return SizeTemplate(name=name, height_m=height_m, width_m=width_m, length_m=length_m, source=source)
+
+
+# Common cars of about 2011 in Europe. The manufacturers' data are quoted from where we could read them.
+_CARS = (
+    _template(
+        "supermini",
+        1.47,
+        1.68,
+        3.97,
+        "Volkswagen Polo V (2009): length and height from the differences to its successor's 4053 and "
+        "1461 mm (Wikipedia, 'Volkswagen Polo Mk6'), width 1682 mm (vicky.in, at the presentation).",
+    ),
+    _template(
+        "hatchback", 1.48, 1.79, 4.20, "Volkswagen Golf VI (2008): 1479 x 1785 x 4199 mm (GoAuto, 'Golf VI')."
+    ),
+    _template(
+        "saloon",
+        1.47,
+        1.82,
+        4.77,
+        "Volkswagen Passat B6/B7 (2005): 1473 x 1820 x 4765 mm (Wikipedia, 'Volkswagen Passat (B6)'); "
+        "a BMW 3 Series E90 has 1420 x 1816 x 4526 mm (Wikipedia).",
+    ),
+    _template(
+        "estate",
+        1.52,
+        1.82,
+        4.77,
+        "Volkswagen Passat Variant B6/B7 (2005): 1516 x 1820 x 4775 mm (Wikipedia, as the saloon).",
+    ),
+    _template(
+        "SUV", 1.67, 1.81, 4.43, "Volkswagen Tiguan I (2007): 1.67 x 1.81 x 4.43 m (its press release)."
+    ),
+)
 
 SIZE_PRIORS: dict[str, SizePrior] = {
-    "Car": SizePrior(1.6, 1.8, 4.0, "WeakM3D, section 4.1, 'Implementation Details'."),
+    "Car": SizePrior(
+        height_m=1.6,
+        width_m=1.8,
+        length_m=4.0,
+        source="WeakM3D, section 4.1, 'Implementation Details'.",
+        templates=_CARS,
+    ),
     "Van": SizePrior(
-        1.97, 1.90, 4.90, "Volkswagen Transporter T5, short wheelbase: manufacturer's data sheet, rounded."
+        height_m=1.97,
+        width_m=1.90,
+        length_m=4.90,
+        source="Volkswagen Transporter/Caravelle T5, short wheelbase: length 4892 mm (Autocar, 'Volkswagen "
+        "Caravelle 2003-2015'), rounded; height and width are ours, its data sheet is unchecked.",
     ),
     "Truck": SizePrior(
-        3.4,
-        2.5,
-        8.5,
-        "12-16 t rigid delivery truck with box body (class of the Mercedes-Benz Atego 1323 L): "
-        "manufacturers' body guides; width within the 2.55 m limit of Directive 96/53/EC.",
+        height_m=3.4,
+        width_m=2.5,
+        length_m=8.5,
+        source="A rigid delivery truck of 12 to 16 t with a box body. Ours, unchecked against a data sheet; "
+        "within the 4.00 x 2.55 x 12.00 m of Directive 96/53/EC, annex I.",
     ),
     "Pedestrian": SizePrior(
-        1.70,
-        0.60,
-        0.60,
-        "Adult body height and the 0.6 m body ellipse of Fruin, 'Pedestrian Planning and Design' (1971).",
+        height_m=1.70,
+        width_m=0.60,
+        length_m=0.60,
+        source="Body ellipse of 0.5 x 0.6 m (FHWA-RD-98-107, section 2.1, after Fruin, 1971), both sides "
+        "0.6 m as arms and legs swing; the height is an adult's, rounded (ours).",
     ),
     "Cyclist": SizePrior(
-        1.75,
-        0.65,
-        1.80,
-        "City bicycle of 1.8 m with a 0.65 m handlebar and a seated adult: "
-        "dimensions of ISO 4210 city bicycles and CROW, 'Design Manual for Bicycle Traffic' (2016).",
+        height_m=1.75,
+        width_m=0.65,
+        length_m=1.80,
+        source="Typical bicycle: 1.5 to 1.8 m long, handlebar 0.61 m wide (Minnesota DOT, 'Bikeway Facility "
+        "Design Manual', section 3-2.0); width with elbows and the height of the rider are ours.",
     ),
 }

@@ -9,11 +9,13 @@ which prompts to send is the caller's choice here.
 from __future__ import annotations
 
 import hashlib
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from boxlift.errors import OptionsError
+from boxlift.priors import SIZE_PRIORS, ClassName, SizePrior
 
 
 class _Settings(BaseModel):
@@ -139,6 +141,11 @@ class ConsistencySettings(_Settings):
     )
 
 
+def _over_the_built_in(sizes: dict[str, SizePrior]) -> dict[str, SizePrior]:
+    """In the order of names, so that the same sizes have the same fingerprint."""
+    return dict(sorted({**SIZE_PRIORS, **sizes}.items()))
+
+
 class LabellerSettings(_Settings):
     """All settings of a Labeller."""
 
@@ -149,6 +156,12 @@ class LabellerSettings(_Settings):
     loss: LossSettings = LossSettings()
     fit: FitSettings = FitSettings()
     consistency: ConsistencySettings = ConsistencySettings()
+    sizes: Annotated[dict[ClassName, SizePrior], AfterValidator(_over_the_built_in)] = Field(
+        SIZE_PRIORS,
+        validate_default=True,
+        description="Frozen size per class with its source. What is given lies over the built-in classes, "
+        "each class as a whole.",
+    )
 
     def fingerprint(self) -> str:
         """Sixteen hex digits that change when any setting does."""
@@ -160,7 +173,9 @@ class LabellerSettings(_Settings):
         Raises OptionsError where an option does not exist or is out of range.
         """
         try:
-            return LabellerSettings.model_validate(_overlay(self.model_dump(), options))
+            # A size is one thing with its source: it is replaced, not mixed with another one.
+            own = self.model_dump(exclude={"sizes"} if "sizes" in options else None)
+            return LabellerSettings.model_validate(_overlay(own, options))
         except ValidationError as error:
             first = error.errors()[0]
             name = ".".join(("options", *(str(part) for part in first["loc"])))
@@ -169,6 +184,10 @@ class LabellerSettings(_Settings):
                 f"{first['msg']} (got {first['input']!r:.80}).",
                 "GET /openapi.json and boxlift/settings.py list every option and its range.",
             ) from None
+
+    def with_sizes(self, sizes: Mapping[str, SizePrior]) -> LabellerSettings:
+        """These settings with `sizes` laid over the built-in ones. Raises OptionsError."""
+        return self.with_options({"sizes": dict(sizes)})
 
 
 PAPER = LabellerSettings(preset="paper")

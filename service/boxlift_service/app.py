@@ -11,6 +11,8 @@ from starlette.exceptions import HTTPException
 
 import boxlift
 from boxlift.errors import InputError
+from boxlift.formats.size_priors import read_size_priors
+from boxlift.settings import PRESETS
 from boxlift_service import documentation
 from boxlift_service.body_limit import BodyLimitMiddleware
 from boxlift_service.engine import Engine
@@ -29,7 +31,12 @@ class _Application(FastAPI):
 
 
 def create_app(settings: ServiceSettings) -> FastAPI:
-    """The service as an ASGI application; its warm-up begins when the server starts it."""
+    """The service as an ASGI application; its warm-up begins when the server starts it.
+
+    Raises OptionsError where the priors file cannot be used.
+    """
+    sizes = read_size_priors(settings.priors) if settings.priors else {}
+    presets = {name: preset.with_sizes(sizes) for name, preset in PRESETS.items()}
     engine = Engine(settings)
 
     @asynccontextmanager
@@ -50,10 +57,10 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         docs_url=None,
         redoc_url=None,
     )
-    app.include_router(label_routes(engine, settings))
+    app.include_router(label_routes(engine, settings, presets))
     app.include_router(detect_routes())
     app.include_router(health_routes(engine))
-    app.include_router(models_routes())
+    app.include_router(models_routes(presets))
     app.add_exception_handler(ProblemError, on_problem)
     app.add_exception_handler(InputError, on_input_error)
     app.add_exception_handler(HTTPException, on_http_exception)

@@ -16,7 +16,7 @@ from boxlift.formats.json_text import parse_json
 from boxlift.formats.point_cloud import decode_points
 from boxlift.formats.prompts import parse_prompts
 from boxlift.frame import Frame
-from boxlift.settings import LabellerSettings, preset
+from boxlift.settings import LabellerSettings
 from boxlift_service.form import Field, Part
 from boxlift_service.settings import ServiceSettings
 
@@ -47,9 +47,11 @@ def label_fields(limits: ServiceSettings) -> dict[str, Field]:
     }
 
 
-def decode_label_request(parts: Mapping[str, Part], limits: ServiceSettings) -> LabelRequest:
+def decode_label_request(
+    parts: Mapping[str, Part], limits: ServiceSettings, presets: Mapping[str, LabellerSettings]
+) -> LabelRequest:
     """Parts with points, calib and prompts among them -> frame and settings. Raises InputError."""
-    settings = _labeller_settings(parts.get("options"))
+    settings = _labeller_settings(parts.get("options"), presets)
     prompts = parse_prompts(parts["prompts"].data)
     if len(prompts) > limits.max_prompts:
         raise PromptError(
@@ -74,20 +76,17 @@ def decode_label_request(parts: Mapping[str, Part], limits: ServiceSettings) -> 
     return LabelRequest(frame, settings, decoded.dropped)
 
 
-def _labeller_settings(part: Part | None) -> LabellerSettings:
+def _labeller_settings(part: Part | None, presets: Mapping[str, LabellerSettings]) -> LabellerSettings:
     """{"preset": name, group: {setting: value}} -> settings; what is left out is as the preset has it."""
     options = parse_json(part.data, "options", OptionsError) if part else {}
     if not isinstance(options, dict):
         raise OptionsError(
             "options", f"the JSON is no object ({options!r:.60}).", 'Give e.g. {"preset": "paper"}.'
         )
-    name = options.pop("preset", DEFAULT_PRESET)
-    try:
-        return preset(str(name)).with_options(options)
-    except OptionsError as error:
-        if error.field != "preset":
-            raise
-        raise OptionsError("options.preset", error.problem, error.remedy) from None
+    name = str(options.pop("preset", DEFAULT_PRESET))
+    if name not in presets:
+        raise OptionsError("options.preset", f"{name!r} is no preset.", f"Choose one of {sorted(presets)}.")
+    return presets[name].with_options(options)
 
 
 def _image_size(

@@ -85,7 +85,8 @@ def label_request_body() -> dict[str, Any]:
             **text,
             "contentMediaType": "application/json",
             "contentSchema": _options_schema(),
-            "description": "Preset and settings laid over it.",
+            "description": "Preset and settings laid over it. `sizes` declares classes: height_m, width_m, "
+            "length_m and their source; it lies over the built-in classes only, not over the service's.",
             "examples": [_OPTIONS_EXAMPLE],
         },
         "name": {
@@ -142,10 +143,18 @@ def _options_schema() -> dict[str, Any]:
     """The schema of LabellerSettings with its groups in place, so that it stands inside another one."""
     schema = LabellerSettings.model_json_schema()
     groups = schema.pop("$defs")
-    for name, value in schema["properties"].items():
+
+    def in_place(value: Any) -> Any:
+        if isinstance(value, list):
+            return [in_place(item) for item in value]
+        if not isinstance(value, dict):
+            return value
         if "$ref" in value:
-            schema["properties"][name] = groups[value["$ref"].rpartition("/")[2]]
-    return schema
+            return in_place(groups[value["$ref"].rpartition("/")[2]])
+        return {key: in_place(item) for key, item in value.items()}
+
+    placed: dict[str, Any] = in_place(schema)
+    return placed
 
 
 def with_label_answer_example(document: dict[str, Any]) -> dict[str, Any]:

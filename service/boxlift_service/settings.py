@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -35,6 +36,9 @@ class ServiceSettings(BaseModel):
     worker_threads: int = Field(1, ge=1, le=64, description="Frames that are labelled at the same time.")
     threads_per_worker: int = Field(
         1, ge=1, le=256, description="CPU threads of torch and Open3D in a worker."
+    )
+    priors: Path | None = Field(
+        None, description="TOML file with sizes per class, laid over the built-in ones; read at the start."
     )
 
     @classmethod

@@ -101,6 +101,29 @@ def test_failed_frames_are_exit_status_1(
     assert ran.status == 0  # skipped is not failed
 
 
+def test_priors_of_ones_own_travel_with_the_job(
+    boxlift: Boxlift, dataset: Path, service_url: str, tmp_path: Path
+) -> None:
+    prompts, priors = tmp_path / "prompts", tmp_path / "priors.toml"
+    shutil.copytree(dataset / "training" / "label_2", prompts)
+    for path in prompts.iterdir():
+        path.write_text(path.read_text().replace("Car ", "Taxi "))
+    priors.write_text('[Taxi]\nheight_m = 1.5\nwidth_m = 1.7\nlength_m = 4.5\nsource = "measured"\n')
+    ran = boxlift(
+        "label", dataset, "--out", tmp_path / "out", "--prompts", prompts, "--priors", priors,
+        "--engine", "http", "--url", service_url,
+    )  # fmt: skip
+    assert (ran.status, ran.err) == (0, "")
+    lines = "".join(path.read_text() for path in (tmp_path / "out" / "data").iterdir()).splitlines()
+    taxis = [line for line in lines if line.startswith("Taxi ")]
+    assert taxis
+    assert all(line.split()[8:11] == ["1.50", "1.70", "4.50"] for line in taxis)
+    ran = boxlift(
+        "show", dataset, "000000", "--out", tmp_path / "a.png", "--prompts", prompts, "--priors", priors
+    )
+    assert (ran.status, ran.err) == (0, "")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -112,6 +135,7 @@ def test_failed_frames_are_exit_status_1(
         (["label", "SOURCE", "--prompts", "nowhere"], "nowhere: there is no such folder"),
         (["label", "SOURCE", "--prompts", "label_2", "--preset", "best"], "preset: 'best' is no preset."),
         (["label", "SOURCE", "--prompts", "label_2", "--masks", "no"], "no: there is no such folder"),
+        (["label", "SOURCE", "--prompts", "label_2", "--priors", "no"], "no: the file cannot be read"),
         (["label", "SOURCE", "--prompts", "label_2", "--frames", "no"], "frames: 'no' cannot be read"),
         (["label", "SOURCE", "--prompts", "label_2", "--url", "http://x"], "url: 'http://x' is given to the"),
         (

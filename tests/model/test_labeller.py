@@ -13,6 +13,7 @@ from boxlift.datasets import load_objects, load_prompts, open_source
 from boxlift.formats import details, kitti_label
 from boxlift.labeller import Labeller, StageTimes
 from boxlift.overlap import bev_iou, iou_3d
+from boxlift.priors import SizePrior
 from boxlift.settings import PAPER
 from model.small_frame import car, frame_of
 
@@ -66,6 +67,19 @@ def test_a_label_depends_only_on_its_frame_and_prompt() -> None:
     assert details.to_text(whole) == details.to_text(again)
     alone = labeller.label(replace(frame, prompts=frame.prompts[:1]))
     assert kitti_label.objects_of(alone) == kitti_label.objects_of(whole)[:1]
+
+
+def test_a_class_of_ones_own_gets_its_size() -> None:
+    prompts = [replace(prompt, category="Taxi") for prompt in frame_of(CARS[:1]).prompts]
+    taxi = SizePrior(height_m=1.5, width_m=1.7, length_m=4.5, source="Measured.")
+    (label,) = Labeller(PAPER.with_sizes({"Taxi": taxi})).label(frame_of(CARS[:1], prompts)).objects
+    assert label.box is not None
+    assert (label.box.height_m[0], label.box.width_m[0], label.box.length_m[0]) == (1.5, 1.7, 4.5)
+    (refused,) = Labeller().label(frame_of(CARS[:1], prompts)).objects
+    assert refused.sentence == (
+        "The class 'Taxi' has no size prior (known: Car, Cyclist, Pedestrian, Truck, Van); "
+        "declare one in a priors file."
+    )
 
 
 def test_adam_is_an_option() -> None:

@@ -23,7 +23,7 @@ from model.small_frame import CALIBRATION, CAMERA_HEIGHT_M, IMAGE_SIZE_PX, car, 
 def select(frame: Frame) -> list[ObjectPoints | UnusablePrompt]:
     visible = points_in_image(frame)
     ground = find_ground(visible.cam, frame.name, PAPER.ground)
-    return select_object_points(frame, visible, ground, PAPER.points)
+    return select_object_points(frame, visible, ground, PAPER.points, PAPER.sizes)
 
 
 def test_points_of_a_car_are_on_the_car() -> None:

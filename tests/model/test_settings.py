@@ -4,6 +4,7 @@ import pytest
 from pydantic import BaseModel, ValidationError
 
 from boxlift.errors import OptionsError
+from boxlift.priors import SIZE_PRIORS, SizePrior
 from boxlift.settings import PAPER, PRESETS, RELEASE, preset
 
 
@@ -42,6 +43,45 @@ def test_wrong_options_name_themselves(options: dict[str, object], words: str) -
     with pytest.raises(OptionsError) as caught:
         PAPER.with_options(options)
     assert words in str(caught.value)
+
+
+KART = SizePrior(height_m=0.9, width_m=1.2, length_m=1.8, source="The regulations.")
+
+
+def test_sizes_lie_over_the_built_in_ones_and_change_the_fingerprint() -> None:
+    assert PAPER.sizes == SIZE_PRIORS
+    changed = PAPER.with_sizes({"Kart": KART})
+    assert changed.sizes == {**SIZE_PRIORS, "Kart": KART}
+    assert changed.fingerprint() != PAPER.fingerprint() == PAPER.with_sizes({}).fingerprint()
+    assert changed.with_options({"fit": {"method": "adam"}}).sizes == changed.sizes
+    other_order = PAPER.with_sizes({"Ape": KART, "Kart": KART})
+    assert other_order.fingerprint() == PAPER.with_sizes({"Kart": KART, "Ape": KART}).fingerprint()
+    # A size is replaced with its source, not mixed with the one before.
+    with pytest.raises(OptionsError, match=r"options\.sizes\.Car\.height_m"):
+        PAPER.with_options({"sizes": {"Car": {"length_m": 4.2}}})
+    size = KART.model_dump() | {"source": "x"}
+    assert PAPER.with_options({"sizes": {"Car": size}}).sizes["Car"].templates == ()
+
+
+@pytest.mark.parametrize("wrong", [{"height_m": 1800}, {"source": " "}, {"length_m": -1}, {"depth_m": 1}])
+def test_wrong_sizes_name_themselves(wrong: dict[str, object]) -> None:
+    with pytest.raises(OptionsError, match=rf"options\.sizes\.Kart\.{next(iter(wrong))}"):
+        PAPER.with_options({"sizes": {"Kart": KART.model_dump() | wrong}})
+
+
+def test_a_class_is_one_word_of_a_kitti_line() -> None:
+    with pytest.raises(OptionsError, match="Go kart"):
+        PAPER.with_sizes({"Go kart": KART})
+
+
+def test_every_built_in_size_is_plausible_and_has_a_source() -> None:
+    for prior in SIZE_PRIORS.values():
+        for size in (prior, *prior.templates):
+            assert len(size.source) > 20
+            assert size.width_m <= size.length_m
+    assert [template.name for template in SIZE_PRIORS["Car"].templates] == [
+        "supermini", "hatchback", "saloon", "estate", "SUV",
+    ]  # fmt: skip
 
 
 def test_unknown_preset() -> None:

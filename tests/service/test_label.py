@@ -15,7 +15,11 @@ from boxlift.formats.image import image_size
 from boxlift.formats.point_cloud import read_points
 from boxlift.formats.prompts import parse_prompts, to_json
 from boxlift.labeller import Labeller
+from boxlift.priors import SizePrior
+from boxlift_service import ServiceSettings
 from boxlift_service.answers import LabelAnswer
+from boxlift_service.decoding import decode_label_request
+from boxlift_service.form import Part
 from service.frames import (
     CAM_T_VELO,
     CAR,
@@ -100,6 +104,40 @@ def test_options_choose_preset_and_settings(service: RunningService, frame: Smal
     assert answer["settings_fingerprint"] == expected.fingerprint()
     whole = json.dumps(expected.model_dump()).encode()
     assert service.label(frame.fields(options=whole)).json() == answer
+
+
+def test_options_declare_a_class(service: RunningService, frame: SmallFrame) -> None:
+    taxi = {"height_m": 1.5, "width_m": 1.7, "length_m": 4.5, "source": "Measured."}
+    prompts = json.dumps([CAR | {"class": "Taxi"}]).encode()
+    answer = service.label(
+        frame.fields(prompts=prompts, options=json.dumps({"sizes": {"Taxi": taxi}}).encode())
+    ).json()
+    assert answer["objects"][0]["kitti"]["dimensions"] == [1.5, 1.7, 4.5]
+    assert (
+        answer["settings_fingerprint"]
+        == preset("paper").with_options({"sizes": {"Taxi": taxi}}).fingerprint()
+    )
+    del taxi["source"]
+    refused = service.label(frame.fields(options=json.dumps({"sizes": {"Taxi": taxi}}).encode()))
+    assert (refused.status_code, refused.json()["field"]) == (422, "options.sizes.Taxi.source")
+
+
+def test_requests_start_from_the_services_own_classes(frame: SmallFrame) -> None:
+    tram, bus = (
+        SizePrior(height_m=3, width_m=2.5, length_m=length, source="Data sheet.") for length in (30, 12)
+    )
+    presets = {"paper": preset("paper").with_sizes({"Tram": tram})}
+
+    def sizes(options: dict[str, object]) -> dict[str, SizePrior]:
+        fields = frame.fields(options=json.dumps(options).encode())
+        parts = {name: Part(data, filename) for name, (filename, data) in fields.items()}
+        return decode_label_request(parts, ServiceSettings(), presets).settings.sizes
+
+    assert sizes({"fit": {"method": "adam"}})["Tram"] == tram
+    # A request that declares sizes means the same at every service.
+    declared = sizes({"sizes": {"Bus": bus.model_dump()}})
+    assert declared["Bus"] == bus
+    assert "Tram" not in declared
 
 
 def test_kitti_calibration_with_an_image(service: RunningService, frame: SmallFrame) -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -61,9 +62,9 @@ def test_request_id_is_echoed_or_made(service: RunningService) -> None:
     assert service.client.get("/nothing", headers={"X-Request-ID": "n"}).headers["x-request-id"] == "n"
 
 
-def in_process_get(path: str) -> httpx.Response:
+def in_process_get(path: str, settings: ServiceSettings | None = None) -> httpx.Response:
     """GET from an application whose server never started: no warm-up has run."""
-    app = create_app(ServiceSettings())
+    app = create_app(settings or ServiceSettings())
 
     @app.get("/fails")
     async def fails() -> None:
@@ -74,6 +75,15 @@ def in_process_get(path: str) -> httpx.Response:
             return await client.get(path, headers={"X-Request-ID": "r1"})
 
     return asyncio.run(get())
+
+
+def test_models_know_the_classes_of_the_priors_file(tmp_path: Path) -> None:
+    path = tmp_path / "priors.toml"
+    path.write_text('[Tram]\nheight_m = 3.6\nwidth_m = 2.4\nlength_m = 30\nsource = "x"\n')
+    for labeller in in_process_get("/models", ServiceSettings(priors=path)).json()["labellers"]:
+        assert labeller["settings"]["sizes"]["Tram"]["length_m"] == 30
+        assert labeller["settings"]["sizes"]["Car"]["length_m"] == 4
+        assert labeller["fingerprint"] != PRESETS[labeller["preset"]].fingerprint()
 
 
 def test_a_failure_of_ours_is_a_problem_that_shows_nothing_inside() -> None:
@@ -135,7 +145,10 @@ def test_openapi_examples_are_genuine(service: RunningService) -> None:
     assert parse_prompts(fields["prompts"]["examples"][0])
     options = json.loads(fields["options"]["examples"][0])
     assert PRESETS[options.pop("preset")].with_options(options).fit.method == "adam"
-    assert "grid_steps" in fields["options"]["contentSchema"]["properties"]["fit"]["properties"]
+    schema = fields["options"]["contentSchema"]["properties"]
+    assert "grid_steps" in schema["fit"]["properties"]
+    (size,) = schema["sizes"]["patternProperties"].values()
+    assert "source" in size["required"]
     answers = operation["responses"]["200"]["content"]
     assert LabelAnswer.model_validate(answers["application/json"]["example"]).objects[0].category == "Car"
     assert parse_text(answers["text/plain"]["example"], "example")[0].score == 0.8714

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from boxlift.errors import OptionsError
 from boxlift_service import ServiceSettings
+from boxlift_service.app import create_app
 
 
 def test_variables_override_defaults() -> None:
@@ -17,6 +20,12 @@ def test_a_wrong_variable_is_named() -> None:
         ServiceSettings.from_environment({"BOXLIFT_PORT": "http"})
     assert caught.value.field == "BOXLIFT_PORT"
     assert "'http'" in caught.value.problem
+
+
+def test_a_wrong_priors_file_stops_the_start(tmp_path: Path) -> None:
+    settings = ServiceSettings.from_environment({"BOXLIFT_PRIORS": str(tmp_path / "none.toml")})
+    with pytest.raises(OptionsError, match=r"none\.toml: the file cannot be read"):
+        create_app(settings)
 
 
 def test_the_service_is_closed_to_others_by_default() -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from boxlift.errors import DatasetError, OptionsError
+from boxlift.formats.size_priors import read_size_priors
 from boxlift.settings import PRESETS, preset
 from boxlift_client.cli.frames_file import read_frames
 
@@ -50,6 +51,10 @@ def label(
     preset_name: Annotated[
         str, typer.Option("--preset", metavar="NAME", help=f"Settings of the labeller: {', '.join(PRESETS)}.")
     ] = "paper",
+    priors: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="TOML file with sizes per class, laid over the built-in ones."),
+    ] = None,
     engine: Annotated[
         Literal["local", "http"], typer.Option(help="Processes on this machine, or a boxlift service.")
     ] = "local",
@@ -79,9 +84,10 @@ def label(
         raise OptionsError(
             "prompts", "no detector is installed;", "give --prompts label_2, det_2d or a folder."
         )
-    job = LabelJob(
-        source, out, prompts, None if masks is None else _find_masks(masks, source), preset(preset_name)
-    )
+    settings = preset(preset_name)
+    if priors is not None:
+        settings = settings.with_sizes(read_size_priors(priors))
+    job = LabelJob(source, out, prompts, None if masks is None else _find_masks(masks, source), settings)
     chosen_engine = _engine(engine, url, workers)
     names = None if frames is None else read_frames(frames)
     try:

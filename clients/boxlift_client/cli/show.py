@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from boxlift.formats.size_priors import read_size_priors
 from boxlift.settings import PRESETS, preset
 
 
@@ -37,6 +38,10 @@ def show(
             "--preset", metavar="NAME", help=f"Settings to label --prompts with: {', '.join(PRESETS)}."
         ),
     ] = "paper",
+    priors: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="TOML file with sizes per class to label --prompts with."),
+    ] = None,
 ) -> None:
     """Draw one frame: the image, and below it the bird's-eye view, with points, prompts, boxes, truth."""
     from boxlift_client.pictures import draw_labels_on_disk, draw_new_labels, write_picture
@@ -44,6 +49,9 @@ def show(
     if pred is not None:
         picture = draw_labels_on_disk(source, frame, pred, gt)
     else:
-        picture = draw_new_labels(source, frame, prompts, gt, preset(preset_name))
+        settings = preset(preset_name)
+        if priors is not None:
+            settings = settings.with_sizes(read_size_priors(priors))
+        picture = draw_new_labels(source, frame, prompts, gt, settings)
     write_picture(out, picture)
     print(out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from time import perf_counter
 
 from fastapi import APIRouter, Request
@@ -9,6 +10,7 @@ from starlette.responses import Response
 
 from boxlift.formats.details import details_of, kitti_text
 from boxlift.labeller import Labeller
+from boxlift.settings import LabellerSettings
 from boxlift_service import documentation, timing
 from boxlift_service.answers import LabelAnswer, label_answer_of
 from boxlift_service.decoding import decode_label_request, label_fields
@@ -23,8 +25,10 @@ JSON = "application/json"
 TEXT = "text/plain"
 
 
-def label_routes(engine: Engine, settings: ServiceSettings) -> APIRouter:
-    """POST /label, computing in `engine` within the limits of `settings`."""
+def label_routes(
+    engine: Engine, settings: ServiceSettings, presets: Mapping[str, LabellerSettings]
+) -> APIRouter:
+    """POST /label, computing in `engine` within the limits of `settings`, by one of `presets`."""
     routes = APIRouter(tags=["labels"])
     fields = label_fields(settings)
 
@@ -65,7 +69,7 @@ def label_routes(engine: Engine, settings: ServiceSettings) -> APIRouter:
 
         def work() -> bytes:
             times.seconds["queue"] = perf_counter() - queued
-            return _label(parts, media_type, settings, times)
+            return _label(parts, media_type, settings, presets, times)
 
         content = await engine.run(work)
         return Response(content, media_type=media_type, headers={timing.HEADER: times.header()})
@@ -74,11 +78,15 @@ def label_routes(engine: Engine, settings: ServiceSettings) -> APIRouter:
 
 
 def _label(
-    parts: dict[str, Part], media_type: str, limits: ServiceSettings, times: timing.RequestTimes
+    parts: dict[str, Part],
+    media_type: str,
+    limits: ServiceSettings,
+    presets: Mapping[str, LabellerSettings],
+    times: timing.RequestTimes,
 ) -> bytes:
     """The body of the answer."""
     with times.stage("decode"):
-        request = decode_label_request(parts, limits)
+        request = decode_label_request(parts, limits, presets)
     labels = Labeller(request.settings).label(request.frame, times)
     with times.stage("encode"):
         if media_type == TEXT:

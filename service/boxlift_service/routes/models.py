@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from fastapi import APIRouter
 
-from boxlift.settings import PRESETS
+from boxlift.settings import LabellerSettings
 from boxlift_service.answers import LabellerModel, ModelsAnswer
 from boxlift_service.decoding import DEFAULT_PRESET
 
 
-def models_routes() -> APIRouter:
-    """GET /models."""
+def models_routes(presets: Mapping[str, LabellerSettings]) -> APIRouter:
+    """GET /models, which lists `presets`."""
     routes = APIRouter(tags=["state"])
     answer = ModelsAnswer(
         labellers=tuple(
             LabellerModel(preset=name, fingerprint=settings.fingerprint(), settings=settings)
-            for name, settings in PRESETS.items()
+            for name, settings in presets.items()
         ),
         default_preset=DEFAULT_PRESET,
         detector=None,
