@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.camera import Floats
 from boxlift.extras import open3d
+from boxlift.ground_surface import GroundSurface, fit_surface
 from boxlift.seeds import seed_of
 from boxlift.settings import GroundSettings
 
@@ -34,17 +35,45 @@ class GroundPlane:
         return heights
 
 
+# Where no ground is found the camera stands this far above it: that of a passenger car (ours).
+_CAMERA_HEIGHT_M = 1.65
+
+
 @dataclass(frozen=True)
 class Ground:
-    """Which of the points (N,) are ground, and the plane, where one was found."""
+    """Which of the points (N,) are ground; the plane and the surface above it, where they were found."""
 
     is_ground: NDArray[np.bool_]
     plane: GroundPlane | None
+    surface: GroundSurface | None = None
 
     @property
     def found(self) -> bool:
         """Whether there is a plane."""
         return self.plane is not None
+
+    def height_above(self, points_cam: NDArray[np.floating]) -> Floats:
+        """(N, 3) points -> (N,) heights above the ground, metres."""
+        heights = (self.plane or _LEVEL).height_above(points_cam)
+        if self.surface is not None:
+            heights = heights - self.surface.height_at(points_cam[:, 0], points_cam[:, 2])
+        return heights
+
+    def y_at(self, x: Floats, z: Floats) -> Floats:
+        """(N,) y of the ground at x, z (N,)."""
+        plane = self.plane or _LEVEL
+        above = 0.0 if self.surface is None else self.surface.height_at(x, z)
+        y: Floats = (above - plane.offset_m - plane.up[0] * x - plane.up[2] * z) / plane.up[1]
+        return y
+
+    def is_known(self, x: Floats, z: Floats) -> NDArray[np.bool_]:
+        """(N,) whether ground was seen around x, z."""
+        if self.surface is None:
+            return np.full(x.shape, self.found)
+        return self.surface.is_known(x, z)
+
+
+_LEVEL = GroundPlane(np.array([0.0, -1.0, 0.0]), _CAMERA_HEIGHT_M)
 
 
 def find_ground(points_cam: Floats, frame_name: str, settings: GroundSettings) -> Ground:
@@ -52,7 +81,10 @@ def find_ground(points_cam: Floats, frame_name: str, settings: GroundSettings) -
     plane = fit_plane(points_cam, settings, seed_of(frame_name)) if settings.remove else None
     if plane is None:
         return Ground(np.zeros(len(points_cam), dtype=np.bool_), None)
-    return Ground(plane.height_above(points_cam) < settings.inlier_distance_m, plane)
+    above_m = plane.height_above(points_cam)
+    surface = fit_surface(points_cam, above_m, settings) if settings.shape == "surface" else None
+    ground = Ground(np.empty(0, dtype=np.bool_), plane, surface)
+    return replace(ground, is_ground=ground.height_above(points_cam) < settings.inlier_distance_m)
 
 
 def fit_plane(points_cam: Floats, settings: GroundSettings, seed: int) -> GroundPlane | None:

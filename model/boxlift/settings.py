@@ -29,6 +29,13 @@ class GroundSettings(_Settings):
     """
 
     remove: bool = Field(True, description="Remove ground points before clustering.")
+    shape: Literal["plane", "surface"] = Field(
+        "plane", description="One plane (paper), or a surface that follows slopes and crests."
+    )
+    cell_m: float = Field(2.0, ge=0.5, le=10, description="Cell of the surface (ours).")
+    max_slope: float = Field(
+        0.08, gt=0, le=1, description="Steepest rise of the surface against the first plane (ours)."
+    )
     inlier_distance_m: float = Field(
         0.2, gt=0, le=2, description="Points this close to the plane are ground (ours)."
     )
@@ -146,6 +153,40 @@ def _over_the_built_in(sizes: dict[str, SizePrior]) -> dict[str, SizePrior]:
     return dict(sorted({**SIZE_PRIORS, **sizes}.items()))
 
 
+class RepairSettings(_Settings):
+    """What the preset `accurate` does beyond the paper; each can be switched off (benchmarks/ablation.py)."""
+
+    claim: bool = Field(
+        True, description="Near to far: points that a chosen box explains are not offered again."
+    )
+    cluster_scales: tuple[float, ...] = Field(
+        (1.0, 0.5),
+        min_length=1,
+        max_length=4,
+        description="Clusters at these multiples of the radius: the finer part cars that touch.",
+    )
+    max_clusters: int = Field(4, ge=1, le=20, description="Likeliest clusters of a prompt that are tried.")
+    closeness: bool = Field(
+        True, description="Besides the pair directions, try the heading of the best L shape."
+    )
+    perpendicular: bool = Field(True, description="Try each heading's perpendicular too.")
+    prompt_placement: bool = Field(
+        True, description="Also try where a box of the class's height fills the prompt."
+    )
+    fits: int = Field(6, ge=1, le=50, description="Hypotheses per object that are fitted.")
+    choose: Literal["evidence", "loss"] = Field(
+        "evidence", description="Choose by all evidence, or by the loss of the fit alone."
+    )
+    edges: bool = Field(True, description="Compare the edges of the projected box with the prompt's.")
+    exclusion_weight: float = Field(
+        10.0, ge=0, le=1_000, description="Cost of two boxes in one place; 0 lets them overlap."
+    )
+    polish: bool = Field(True, description="After the fit, move position, heading and size a little.")
+    size: Literal["refined", "fixed"] = Field(
+        "refined", description="Refined from the class's typical size, or fixed to its frozen one."
+    )
+
+
 class LabellerSettings(_Settings):
     """All settings of a Labeller."""
 
@@ -156,6 +197,9 @@ class LabellerSettings(_Settings):
     loss: LossSettings = LossSettings()
     fit: FitSettings = FitSettings()
     consistency: ConsistencySettings = ConsistencySettings()
+    repairs: RepairSettings | None = Field(
+        None, description="Beyond the paper; none in the presets `paper` and `release`."
+    )
     sizes: Annotated[dict[ClassName, SizePrior], AfterValidator(_over_the_built_in)] = Field(
         SIZE_PRIORS,
         validate_default=True,
@@ -211,7 +255,15 @@ RELEASE = LabellerSettings(
     consistency=ConsistencySettings(y_from="cluster", adjust_x=True, adjust_height=True, max_shift_m=0.3),
 )
 
-PRESETS = {"paper": PAPER, "release": RELEASE}
+ACCURATE = LabellerSettings(
+    preset="accurate",
+    ground=GroundSettings(shape="surface", iterations=100),
+    points=ObjectPointSettings(min_points=3),
+    fit=FitSettings(grid_steps=10, beam_width=16, levels=5),
+    repairs=RepairSettings(),
+)
+
+PRESETS = {"accurate": ACCURATE, "paper": PAPER, "release": RELEASE}
 
 
 def preset(name: str) -> LabellerSettings:

@@ -1,0 +1,183 @@
+"""After the fit: position, heading and size move a little until points, prompt and priors agree.
+
+Damped Gauss-Newton (Levenberg, 1944; Marquardt, 1963) on robust residuals, all boxes of a prompt at once:
+distances of points from the outline seen from above, the edges of the projected box against the
+prompt's, and priors for the size, the bottom (local ground) and the heading.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boxlift.accurate.parameters import (
+    BOTTOM,
+    HEIGHT,
+    LENGTH,
+    WIDTH,
+    YAW,
+    X,
+    Z,
+    project_edges,
+    to_box_frame,
+)
+from boxlift.camera import Calibration, Floats
+
+# Standard deviations (ours). Points lie inside an outline that mirrors and rounded corners blur.
+_OUTSIDE_M, _INSIDE_M = 0.07, 0.3
+# A point never costs more than this many variances: it is of something else (Geman and McClure, 1985).
+_POINT_CAP = 9.0
+# All points of an object together weigh as much as this many: their errors are not independent.
+_POINTS_WORTH = 10.0
+# Edges of prompts: this many pixels, and this share of the prompt's size.
+_EDGE_PX, _EDGE_SHARE = 2.0, 0.015
+# Edge errors beyond this many standard deviations count by their logarithm (Cauchy).
+_EDGE_CAUCHY = 2.0
+_GROUND_M = 0.08
+_YAW_RAD = 0.5
+_LARGEST_STEP = 0.5
+_SMALLEST_SIDE_M = 0.2
+
+
+@dataclass(frozen=True)
+class SizePull:
+    """Where the size is pulled to, (3,) length, width, height in metres, and how far it may be off."""
+
+    lwh_m: Floats
+    sigma_m: Floats
+
+
+@dataclass(frozen=True)
+class Target:
+    """What the boxes of one prompt are pulled to.
+
+    points_xz (M, 2) with weights (M,) that sum to what they are worth. box_px (4,) the prompt cut to the
+    image, which the projected boxes are cut to as well: an edge beyond the border costs nothing.
+    use_edges: (4,) which of its edges count. bottom_y (B,) the ground under each box. free: which of the
+    seven parameters may move.
+    """
+
+    points_xz: Floats
+    weights: Floats
+    box_px: Floats
+    use_edges: NDArray[np.bool_]
+    image_size_px: tuple[int, int]
+    calibration: Calibration
+    size: SizePull
+    bottom_y: Floats
+    free: tuple[int, ...] = (X, Z, YAW, LENGTH, WIDTH, HEIGHT, BOTTOM)
+
+
+def point_weights(points_xz: Floats, radius_m: float) -> Floats:
+    """(M,) inverse densities (paper, equation 4) that sum to what the points are worth."""
+    apart = points_xz[:, None] - points_xz[None]
+    near = (apart**2).sum(-1) < radius_m**2
+    weights = 1 / near.sum(1).clip(1)
+    scaled: Floats = weights / max(weights.sum(), 1e-9) * min(len(points_xz), _POINTS_WORTH)
+    return scaled
+
+
+def outline_distance(parameters: Floats, points_xz: Floats) -> Floats:
+    """(B, M) signed distance of points (M, 2) beyond the nearest side of each box; negative inside."""
+    along, across = to_box_frame(parameters, points_xz)
+    beyond: Floats = np.maximum(
+        np.abs(along) - parameters[:, LENGTH, None] / 2, np.abs(across) - parameters[:, WIDTH, None] / 2
+    )
+    return beyond
+
+
+def edge_errors(
+    parameters: Floats, box_px: Floats, image_size_px: tuple[int, int], calibration: Calibration
+) -> tuple[Floats, Floats]:
+    """Projected edges cut to the image minus the prompt's (B, 4), in standard deviations; derivatives."""
+    edges, derivative = project_edges(parameters, calibration)
+    width, height = image_size_px
+    border = np.array([width - 1, height - 1, width - 1, height - 1])
+    sides = box_px[[2, 3, 2, 3]] - box_px[[0, 1, 0, 1]]
+    sigma = _EDGE_PX + _EDGE_SHARE * sides
+    within = (edges > 0) & (edges < border)
+    errors: Floats = (edges.clip(0, border) - box_px) / sigma
+    slopes: Floats = derivative * within[..., None] / sigma[:, None]
+    return errors, slopes
+
+
+def polish(parameters: Floats, target: Target, steps: int) -> Floats:
+    """(B, 7) -> (B, 7) boxes nearer to their target; a step that does not help is not taken."""
+    current = parameters.copy()
+    start_yaw = parameters[:, YAW].copy()
+    free = list(target.free)
+    damping = np.full(len(current), 1e-2)
+    cost, normal, gradient = _linearised(current, start_yaw, target)
+    for _ in range(steps):
+        diagonal = np.einsum("bpp->bp", normal)
+        damped = normal + (damping[:, None] * diagonal + 1e-6)[:, :, None] * np.eye(7)
+        step = np.zeros_like(current)
+        sub = damped[:, free][:, :, free]
+        step[:, free] = -np.linalg.solve(sub, gradient[:, free, None])[..., 0]
+        moved = current + step.clip(-_LARGEST_STEP, _LARGEST_STEP)
+        moved[:, LENGTH : HEIGHT + 1] = moved[:, LENGTH : HEIGHT + 1].clip(_SMALLEST_SIDE_M)
+        new_cost, new_normal, new_gradient = _linearised(moved, start_yaw, target)
+        better = new_cost < cost
+        current[better], cost[better] = moved[better], new_cost[better]
+        normal[better], gradient[better] = new_normal[better], new_gradient[better]
+        damping = np.where(better, damping * 0.3, damping * 5)
+    return current
+
+
+def _linearised(parameters: Floats, start_yaw: Floats, target: Target) -> tuple[Floats, Floats, Floats]:
+    """Cost (B,), normal matrices (B, 7, 7) and gradients (B, 7), robust terms as reweighted squares."""
+    point_cost, point_residual, point_slope = _point_terms(parameters, target)
+    edge, edge_slope = edge_errors(parameters, target.box_px, target.image_size_px, target.calibration)
+    scaled = (edge / _EDGE_CAUCHY) ** 2
+    edge_weight = target.use_edges / (1 + scaled)
+    edge_cost = (target.use_edges * _EDGE_CAUCHY**2 * np.log1p(scaled)).sum(1)
+    prior, prior_scale = _prior_terms(parameters, start_yaw, target)
+
+    weighted = edge_slope * edge_weight[..., None]
+    normal = np.einsum("bmp,bmq->bpq", point_slope, point_slope) + np.einsum(
+        "bep,beq->bpq", weighted, edge_slope
+    )
+    gradient = np.einsum("bmp,bm->bp", point_slope, point_residual) + np.einsum("bep,be->bp", weighted, edge)
+    normal += np.diag(prior_scale**2)
+    gradient += prior * prior_scale
+    return point_cost + edge_cost + (prior**2).sum(1), normal, gradient
+
+
+def _point_terms(parameters: Floats, target: Target) -> tuple[Floats, Floats, Floats]:
+    """Cost (B,), reweighted residuals (B, M) and their slopes (B, M, 7) of the points."""
+    along, across = to_box_frame(parameters, target.points_xz)
+    beyond_along = np.abs(along) - parameters[:, LENGTH, None] / 2
+    beyond_across = np.abs(across) - parameters[:, WIDTH, None] / 2
+    is_end = beyond_along > beyond_across
+    distance = np.where(is_end, beyond_along, beyond_across)
+    sigma = np.where(distance > 0, _OUTSIDE_M, _INSIDE_M)
+    squared = (distance / sigma) ** 2
+    cost = (target.weights * _POINT_CAP * squared / (_POINT_CAP + squared)).sum(1)
+    # Derivative of the capped cost by the squared residual, as a weight of the plain one.
+    scale = np.sqrt(target.weights) * _POINT_CAP / (_POINT_CAP + squared) / sigma
+    cos, sin = np.cos(parameters[:, YAW, None]), np.sin(parameters[:, YAW, None])
+    sign = np.where(is_end, np.sign(along), np.sign(across))
+    slope = np.zeros((*distance.shape, 7))
+    slope[..., X] = -sign * np.where(is_end, cos, sin)
+    slope[..., Z] = sign * np.where(is_end, sin, -cos)
+    slope[..., YAW] = sign * np.where(is_end, -across, along)
+    slope[..., LENGTH] = np.where(is_end, -0.5, 0.0)
+    slope[..., WIDTH] = np.where(is_end, 0.0, -0.5)
+    return cost, distance * scale, slope * scale[..., None]
+
+
+def _prior_terms(parameters: Floats, start_yaw: Floats, target: Target) -> tuple[Floats, Floats]:
+    """Priors as residuals (B, 7) in standard deviations, and one over those (7,); 0 where there is none."""
+    wanted = np.concatenate(
+        [
+            np.zeros((len(parameters), 2)),
+            start_yaw[:, None],
+            np.tile(target.size.lwh_m, (len(parameters), 1)),
+            target.bottom_y[:, None],
+        ],
+        axis=1,
+    )
+    scale = np.array([0.0, 0.0, 1 / _YAW_RAD, *(1 / target.size.sigma_m), 1 / _GROUND_M])
+    return (parameters - wanted) * scale, scale

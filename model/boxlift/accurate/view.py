@@ -1,0 +1,136 @@
+"""What the LiDAR saw around the image, once per frame; and what of it one prompt is about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boxlift.camera import Floats
+from boxlift.consistency import cut_edges
+from boxlift.frame import Frame
+from boxlift.ground import Ground
+from boxlift.seeds import seed_of
+
+# Points this share of the image's size beyond its border still count for an object that the border cuts.
+_BEYOND_BORDER = 0.3
+# Around a prompt, by this share of its width, lies what an object may continue into.
+_SURROUNDINGS = 0.3
+# Points lower than this above the ground may be ground.
+_OFF_GROUND_M = 0.2
+# Rays and points per prompt that the evidence looks at; more say nothing new.
+_MAX_INSIDE, _MAX_AROUND = 160, 320
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class View:
+    """Points in and around the image: (N, 3) rectified camera frame, (N, 2) pixels, (N,) above ground."""
+
+    frame: Frame
+    ground: Ground
+    points_cam: Floats
+    pixels: Floats
+    above_m: Floats
+
+    @classmethod
+    def of(cls, frame: Frame, ground: Ground) -> View:
+        """The points before the camera, in the image or beyond its border by no more than matters."""
+        points_cam = frame.calibration.velo_to_cam(frame.points_velo)
+        points_cam = points_cam[points_cam[:, 2] > 0.5]
+        pixels, depth_m = frame.calibration.project(points_cam)
+        size = np.array(frame.image_size_px)
+        margin = (_BEYOND_BORDER + 0.1) * size
+        near = (depth_m > 0) & ((pixels > -margin) & (pixels < size + margin)).all(axis=1)
+        points_cam = points_cam[near]
+        return cls(frame, ground, points_cam, pixels[near], ground.height_above(points_cam))
+
+    @property
+    def sensor_cam(self) -> Floats:
+        """(3,) where the rays start."""
+        return self.frame.calibration.lidar_center_cam
+
+
+@dataclass(frozen=True)
+class Region:
+    """What one prompt is about, as row numbers into the view.
+
+    box_px: (4,) the prompt cut to the image. cut: (4,) edges x1, y1, x2, y2 that the border may cut.
+    may_hide: whether the border or a nearer prompt may hide a part of the object.
+    inside: (M,) a sample of the object-high points in the prompt, those claimed by nearer objects left
+    out; a prompt that the border cuts goes on beyond it. around: (K,) likewise, the surroundings with it.
+    around_inside: (K,) which of those lie in the prompt. found: points in the prompt before sampling.
+    """
+
+    box_px: Floats
+    cut: NDArray[np.bool_]
+    may_hide: bool
+    inside: Indices
+    around: Indices
+    around_inside: NDArray[np.bool_]
+    in_prompt: int
+    found: int
+
+    @property
+    def width_px(self) -> float:
+        """Of the prompt within the image."""
+        return float(self.box_px[2] - self.box_px[0])
+
+
+def region_of(view: View, index: int, claimed: NDArray[np.bool_], height_m: float) -> Region:
+    """The region of prompt `index`; points up to `height_m` above the ground are object-high."""
+    frame = view.frame
+    size = np.array(frame.image_size_px, dtype=np.float64)
+    prompt_px = np.array(frame.prompts[index].box_px)
+    cut = cut_edges(prompt_px[None], frame.image_size_px)[0]
+    box_px = np.clip(prompt_px, 0, np.tile(size - 1, 2))
+    beyond = _BEYOND_BORDER * np.tile(size, 2) * cut * np.array([-1, 0, 1, 1])
+    low, high = (box_px + beyond)[:2], (box_px + beyond)[2:]
+    margin = _SURROUNDINGS * (box_px[2] - box_px[0])
+
+    in_box = ((view.pixels >= low) & (view.pixels <= high)).all(axis=1)
+    if frame.instance_ids is not None:
+        in_box &= _on_mask(view, index)
+    objects = (view.above_m > _OFF_GROUND_M) & (view.above_m < height_m) & ~claimed
+    near = ((view.pixels >= low - margin) & (view.pixels <= high + margin)).all(axis=1)
+    inside, around = np.flatnonzero(in_box & objects), np.flatnonzero(near & objects)
+    rng = np.random.default_rng(seed_of(frame.name, index))
+    found = len(inside)
+    around = _sample(around, _MAX_AROUND, rng)
+    return Region(
+        box_px=box_px,
+        cut=cut,
+        may_hide=bool(cut.any()) or _nearer_prompt_overlaps(frame, index),
+        inside=_sample(inside, _MAX_INSIDE, rng),
+        around=around,
+        around_inside=in_box[around],
+        in_prompt=int(in_box.sum()),
+        found=found,
+    )
+
+
+def _sample(rows: Indices, count: int, rng: np.random.Generator) -> Indices:
+    return rows if len(rows) <= count else np.sort(rng.choice(rows, count, replace=False))
+
+
+def _on_mask(view: View, index: int) -> NDArray[np.bool_]:
+    """(N,) which points fall onto the prompt's pixels; beyond the image there are none."""
+    ids = view.frame.instance_ids
+    assert ids is not None
+    columns, rows = np.rint(view.pixels).astype(np.intp).T
+    within = (columns >= 0) & (rows >= 0) & (columns < ids.shape[1]) & (rows < ids.shape[0])
+    on_mask = np.zeros(len(columns), dtype=np.bool_)
+    on_mask[within] = ids[rows[within], columns[within]] == index + 1
+    return on_mask
+
+
+def _nearer_prompt_overlaps(frame: Frame, index: int) -> bool:
+    """Whether another prompt that reaches lower in the image, so is nearer, covers a part of this one."""
+    x1, y1, x2, y2 = frame.prompts[index].box_px
+    others = np.array([p.box_px for i, p in enumerate(frame.prompts) if i != index]).reshape(-1, 4)
+    shared_x = np.minimum(others[:, 2], x2) - np.maximum(others[:, 0], x1)
+    shared_y = np.minimum(others[:, 3], y2) - np.maximum(others[:, 1], y1)
+    covers = (others[:, 3] > y2) & (shared_x > 0.1 * (x2 - x1)) & (shared_y > 0.3 * (y2 - y1))
+    return bool(covers.any())
