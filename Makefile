@@ -39,6 +39,7 @@ serve: $(READY)
 bench: $(READY)
 	$(BIN)/python benchmarks/fit_optimality.py
 	$(BIN)/python benchmarks/presets.py
+	$(BIN)/python benchmarks/rig_check.py
 	$(BIN)/python benchmarks/evaluator.py
 	$(BIN)/python benchmarks/label_http.py
 
