@@ -37,7 +37,8 @@ serve: $(READY)
 	$(BIN)/boxlift serve
 
 bench: $(READY)
-	$(BIN)/python benchmarks/fit_optimality.py
+	$(BIN)/python benchmarks/fit.py
+	$(BIN)/python benchmarks/ablation.py
 	$(BIN)/python benchmarks/presets.py
 	$(BIN)/python benchmarks/rig_check.py
 	$(BIN)/python benchmarks/evaluator.py
