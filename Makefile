@@ -40,6 +40,7 @@ bench: $(READY)
 	$(BIN)/python benchmarks/fit.py
 	$(BIN)/python benchmarks/ablation.py
 	$(BIN)/python benchmarks/presets.py
+	$(BIN)/python benchmarks/rig_check.py
 	$(BIN)/python benchmarks/evaluator.py
 	$(BIN)/python benchmarks/label_http.py
 

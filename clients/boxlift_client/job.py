@@ -42,12 +42,16 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class FrameReport:
-    """What became of a frame: (result, sentence) per prompt, or the sentence why it has no labels."""
+    """What became of a frame: (result, sentence) per prompt, or the sentence why it has no labels.
+
+    warnings: (name, sentence) of every doubt about its calibration.
+    """
 
     frame: str
     outcome: Outcome
     sentence: str = ""
     results: tuple[tuple[str, str], ...] = ()
+    warnings: tuple[tuple[str, str], ...] = ()
     seconds: float = 0.0
 
 
@@ -86,4 +90,5 @@ class FrameWorker:
             sentence = f"{type(error).__name__}: {error}"
             return FrameReport(name, Outcome.FAILED, sentence, seconds=perf_counter() - start)
         results = tuple((item.result, item.sentence) for item in details.objects)
-        return FrameReport(name, outcome, sentence, results, seconds=perf_counter() - start)
+        warnings = tuple((item.name, item.sentence) for item in details.warnings)
+        return FrameReport(name, outcome, sentence, results, warnings, seconds=perf_counter() - start)

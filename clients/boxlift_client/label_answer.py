@@ -29,8 +29,8 @@ class LabelAnswer(FrameDetails):
 
     @property
     def details(self) -> FrameDetails:
-        """What became of every prompt, without the rest."""
-        return FrameDetails(frame=self.frame, objects=self.objects)
+        """What became of every prompt and what the frame warns of, without the rest."""
+        return FrameDetails(frame=self.frame, objects=self.objects, warnings=self.warnings)
 
     @property
     def kitti_text(self) -> str:

@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 from boxlift_client.job import FrameReport, Outcome
 
 _MOST_FRAMES_LISTED = 50
+_MOST_WARNINGS_LISTED = 3
 
 
 @dataclass
 class RunSummary:
-    """Frames per outcome, prompts per result, and every frame that has no labels.
+    """Frames per outcome, prompts per result, every frame that has no labels, and every one that warns.
 
     examples: result -> the first frame by name that had it, and the sentence there. seconds: of the run.
     """
@@ -21,6 +22,7 @@ class RunSummary:
     results: Counter[str] = field(default_factory=Counter)
     examples: dict[str, tuple[str, str]] = field(default_factory=dict)
     unlabelled: list[FrameReport] = field(default_factory=list)
+    warned: list[FrameReport] = field(default_factory=list)
     seconds: float = 0.0
 
     def add(self, report: FrameReport) -> None:
@@ -28,6 +30,8 @@ class RunSummary:
         self.frames[report.outcome] += 1
         if report.outcome is not Outcome.LABELLED:
             self.unlabelled.append(report)
+        if report.warnings:
+            self.warned.append(report)
         for result, sentence in report.results:
             self.results[result] += 1
             # The first by name: the same whatever the order in which frames finish.
@@ -40,7 +44,7 @@ class RunSummary:
         return self.frames[Outcome.FAILED] == 0
 
     def text(self) -> str:
-        """Plain text: frames, prompts by result with a sentence each, and what has no labels and why."""
+        """Plain text: frames, prompts by result with a sentence each, warnings, and what has no labels."""
         total = self.frames.total()
         head = ", ".join(f"{self.frames[outcome]} {outcome}" for outcome in Outcome)
         pace = f", {total / self.seconds:.1f} a second" if self.seconds > 0 else ""
@@ -49,11 +53,25 @@ class RunSummary:
         for result, count in self.results.most_common():
             frame, sentence = self.examples[result]
             lines.append(f"  {count:6d}  {result:22} e.g. {frame}: {sentence}")
+        lines.extend(self._warning_lines())
         listed = sorted(self.unlabelled, key=lambda report: report.frame)[:_MOST_FRAMES_LISTED]
         lines.extend(f"  {report.outcome} {report.frame}: {report.sentence}" for report in listed)
         if len(self.unlabelled) > _MOST_FRAMES_LISTED:
             lines.append(f"  ... and {len(self.unlabelled) - _MOST_FRAMES_LISTED} more without labels")
         return "\n".join(lines)
+
+    def _warning_lines(self) -> list[str]:
+        if not self.warned:
+            return []
+        warned = sorted(self.warned, key=lambda report: report.frame)
+        lines = [f"{_counted(len(warned), 'frame')} with warnings about the calibration:"]
+        for report in warned[:_MOST_WARNINGS_LISTED]:
+            lines.extend(f"  {name:22} {report.frame}: {sentence}" for name, sentence in report.warnings)
+        if len(warned) > _MOST_WARNINGS_LISTED:
+            lines.append(
+                f"  ... and {len(warned) - _MOST_WARNINGS_LISTED} more; see the details of the frames"
+            )
+        return lines
 
 
 def _counted(count: int, noun: str) -> str:

@@ -86,6 +86,50 @@ class Result(Enum):
     )
 
 
+class RigDoubt(Enum):
+    """What the data say against a calibration; the value is the sentence, with values to fill in."""
+
+    FOCAL_LENGTH = (
+        "The focal lengths {fx:g} and {fy:g} would give {width} pixels a view of {view:.0f} degrees. "
+        "Give them in pixels of this image."
+    )
+    IMAGE_SIZE = (
+        "The principal point ({cx:.0f}, {cy:.0f}) belongs to an image of about {calibrated} pixels, this one "
+        "has {given}. Scale the projection with the image, or give the image that was calibrated."
+    )
+    LIDAR_FAR_AWAY = (
+        "The LiDAR would be {distance:.0f} m away from the camera. Give the translation in metres."
+    )
+    TILTED = (
+        "The {what} leans {tilt:.0f} degrees against the camera's horizontal (x right, y down, z forward). "
+        "Check the rotation from LiDAR to camera. {guess}"
+    )
+    CAMERA_HEIGHT = (
+        "The camera would be {height:.1f} m above the ground. "
+        "Check the translation from LiDAR to camera and its unit (metres)."
+    )
+    NOTHING_IN_VIEW = (
+        "Only {seen} of {total} LiDAR points fall into the image. "
+        "Check that calibration, image and points are of the same camera."
+    )
+    PROMPTS_OUTSIDE_IMAGE = (
+        "{outside} of {total} 2D boxes lie outside the image ({given} pixels). "
+        "Give boxes in pixels of this image."
+    )
+    PROMPTS_WITHOUT_OBJECTS = (
+        "{empty} of {total} 2D boxes hold no object at the distance that class and height in pixels ask for. "
+        "Check that calibration, image, points and boxes are of the same camera and moment."
+    )
+
+
+@dataclass(frozen=True)
+class FrameWarning:
+    """A doubt about the rig of a frame, and the sentence that a user reads."""
+
+    doubt: RigDoubt
+    sentence: str
+
+
 @dataclass(frozen=True)
 class LossTerms:
     """Means over the object points of the loss at the fitted box, metres; `total` is what was minimised."""
@@ -136,10 +180,11 @@ class ObjectLabel:
 
 @dataclass(frozen=True)
 class FrameLabels:
-    """The labels of one frame: one entry per prompt, in the order of the prompts."""
+    """The labels of one frame: one entry per prompt, in their order, and doubts about the frame's rig."""
 
     frame_name: str
     objects: tuple[ObjectLabel, ...]
+    warnings: tuple[FrameWarning, ...] = ()
 
     @classmethod
     def without_boxes(cls, frame_name: str, prompts: Sequence[Prompt], result: Result) -> FrameLabels:

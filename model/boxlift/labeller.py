@@ -17,6 +17,7 @@ from boxlift.frame import Frame, FrameLabels, Hypothesis, ObjectLabel, Result
 from boxlift.ground import find_ground
 from boxlift.heading import HeadingHypothesis, heading_hypotheses
 from boxlift.object_points import ObjectPoints, UnusablePrompt, points_in_image, select_object_points
+from boxlift.rig_check import check_rig
 from boxlift.settings import PAPER, LabellerSettings
 
 
@@ -51,6 +52,8 @@ class Labeller:
     def label(self, frame: Frame, times: StageTimes | None = None) -> FrameLabels:
         """Label every prompt of a frame: a box, or the sentence why there is none."""
         times = times or StageTimes()
+        with times.stage("rig"):
+            warnings = check_rig(frame, self.settings.sizes)
         with times.stage("ground"):
             visible = points_in_image(frame)
             ground = find_ground(visible.cam, frame.name, self.settings.ground)
@@ -68,7 +71,7 @@ class Labeller:
         with times.stage("confidence"):
             uncertain = self.settings.ground.remove and not ground.found
             described = self._describe(frame, found, candidates, fits, boxes, uncertain)
-        return FrameLabels(frame.name, described)
+        return FrameLabels(frame.name, described, warnings)
 
     def fit_problems(self, frame: Frame) -> list[FitProblem]:
         """What `label` hands to the fit: one problem per object and hypothesis. For benchmarks."""

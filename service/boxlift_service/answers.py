@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import BaseModel, ConfigDict, Field
 
 import boxlift
-from boxlift.formats.details import ObjectDetails, details_of
+from boxlift.formats.details import ObjectDetails, WarningDetails, details_of
 from boxlift.frame import FrameLabels
 from boxlift.settings import LabellerSettings
 from boxlift_service.decoding import LabelRequest
@@ -22,6 +22,9 @@ class LabelAnswer(_Answer):
 
     frame: str = Field(description="Name of the frame; it seeds every random choice.")
     objects: tuple[ObjectDetails, ...] = Field(description="One entry per prompt, in their order.")
+    warnings: tuple[WarningDetails, ...] = Field(
+        description="Doubts about the calibration; labels of a frame that has any may be worthless."
+    )
     dropped_points: int = Field(description="Points that were left out: not finite, or beyond 100 km.")
     preset: str = Field(description="Preset that the settings started from.")
     settings_fingerprint: str = Field(description="Changes when any setting of the labeller does.")
@@ -58,6 +61,7 @@ def label_answer_of(request: LabelRequest, labels: FrameLabels) -> LabelAnswer:
     return LabelAnswer(
         frame=details.frame,
         objects=details.objects,
+        warnings=details.warnings,
         dropped_points=request.dropped_points,
         preset=request.settings.preset,
         settings_fingerprint=request.settings.fingerprint(),

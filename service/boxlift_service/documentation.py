@@ -35,7 +35,7 @@ LABEL_TEXT_EXAMPLE = (
 
 ANSWER_HEADERS: dict[str, Any] = {
     timing.HEADER: {
-        "description": "Milliseconds per stage: receive, queue, decode, ground, points, heading, fit, "
+        "description": "Milliseconds per stage: receive, queue, decode, rig, ground, points, heading, fit, "
         "consistency, confidence, encode, total.",
         "schema": {"type": "string"},
         "example": "receive;dur=2.1, queue;dur=0.1, decode;dur=0.9, ..., total;dur=61.4",
@@ -211,6 +211,7 @@ def _label_answer_example() -> dict[str, Any]:
     answer = LabelAnswer(
         frame="000123",
         objects=(fitted, unusable),
+        warnings=(),
         dropped_points=0,
         preset=PAPER.preset,
         settings_fingerprint=PAPER.fingerprint(),

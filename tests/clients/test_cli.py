@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from boxlift import __version__
+from boxlift import Calibration, __version__
+from boxlift.formats.calibration import read_calibration, to_kitti_text
 from boxlift_client.cli import main
 
 
@@ -99,6 +100,26 @@ def test_failed_frames_are_exit_status_1(
     frames.write_text("000001\n000002\n")
     ran = boxlift("label", root, "--out", tmp_path / "out", "--frames", frames, *http)
     assert ran.status == 0  # skipped is not failed
+
+
+@pytest.mark.parametrize("engine", ["local", "http"])
+def test_frames_of_a_wrong_rig_are_counted_and_shown(
+    boxlift: Boxlift, dataset: Path, service_url: str, tmp_path: Path, engine: str
+) -> None:
+    root = tmp_path / "dataset"
+    shutil.copytree(dataset, root)
+    path = root / "training" / "calib" / "000001.txt"
+    right = read_calibration(path).calibration
+    cam_SE3_velo = right.cam_SE3_velo.copy()
+    cam_SE3_velo[:3, :3] = cam_SE3_velo[:3, :3].T
+    path.write_text(to_kitti_text(Calibration(right.image_P_cam, cam_SE3_velo)))
+    where = ("--engine", "http", "--url", service_url) if engine == "http" else ()
+    ran = boxlift("label", root, "--out", tmp_path / "out", "--prompts", "label_2", *where)
+    assert (ran.status, ran.err) == (0, "")
+    assert "1 frame with warnings about the calibration:\n  TILTED " in ran.out
+    assert "000001: The ground leans " in ran.out
+    written = json.loads((tmp_path / "out" / "details" / "000001.json").read_text())
+    assert [warning["name"] for warning in written["warnings"]] == ["TILTED"]
 
 
 def test_priors_of_ones_own_travel_with_the_job(

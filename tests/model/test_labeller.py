@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from boxlift import Boxes3D, Prompt, Result, preset
+from boxlift import Boxes3D, Calibration, Prompt, Result, preset
 from boxlift.datasets import load_objects, load_prompts, open_source
 from boxlift.formats import details, kitti_label
+from boxlift.frame import RigDoubt
 from boxlift.labeller import Labeller, StageTimes
 from boxlift.overlap import bev_iou, iou_3d
 from boxlift.priors import SizePrior
@@ -95,10 +96,21 @@ def test_frames_without_prompts_or_points_are_labelled_empty() -> None:
     assert Labeller().label(nothing).counts() == {"TOO_FEW_POINTS": 3}
 
 
+def test_a_wrong_rig_is_a_warning_and_no_error() -> None:
+    frame = frame_of(CARS)
+    assert Labeller().label(frame).warnings == ()
+    cam_SE3_velo = frame.calibration.cam_SE3_velo.copy()
+    cam_SE3_velo[:3, :3] = cam_SE3_velo[:3, :3].T
+    wrong = replace(frame, calibration=Calibration(frame.calibration.image_P_cam, cam_SE3_velo))
+    labels = Labeller().label(wrong)
+    assert [warning.doubt for warning in labels.warnings] == [RigDoubt.TILTED]
+    assert len(labels.objects) == len(CARS)
+
+
 def test_times_name_the_stages_in_order() -> None:
     times = StageTimes()
     Labeller().label(frame_of(CARS[:1]), times)
-    assert list(times.seconds) == ["ground", "points", "heading", "fit", "consistency", "confidence"]
+    assert list(times.seconds) == ["rig", "ground", "points", "heading", "fit", "consistency", "confidence"]
 
 
 def test_real_frames_reach_the_faithful_methods_recall(kitti_object_root: Path) -> None:

@@ -28,6 +28,7 @@ from service.frames import (
     WIDTH,
     Fields,
     SmallFrame,
+    calib_json,
     calib_text,
     kitti_bin,
     mask_png,
@@ -216,12 +217,23 @@ def test_no_prompts_in_the_list_is_no_error(service: RunningService, frame: Smal
     assert response.json()["objects"] == []
 
 
+def test_a_wrong_rig_is_a_warning_in_the_answer(service: RunningService, frame: SmallFrame) -> None:
+    assert service.label(frame.fields()).json()["warnings"] == []
+    transposed = np.array(CAM_T_VELO)
+    transposed[:3, :3] = transposed[:3, :3].T
+    response = service.label(frame.fields(calib=calib_json(cam_T_velo=transposed.tolist())))
+    assert response.status_code == 200
+    (warning,) = response.json()["warnings"]
+    assert warning["name"] == "TILTED"
+    assert "leans 90 degrees" in warning["sentence"]
+
+
 def test_server_timing_tells_every_stage(service: RunningService, frame: SmallFrame) -> None:
     header = service.label(frame.fields()).headers["server-timing"]
     stages = dict(stage.split(";dur=") for stage in header.split(", "))
     assert list(stages) == [
-        "receive", "queue", "decode", "ground", "points", "heading", "fit", "consistency", "confidence",
-        "encode", "total",
+        "receive", "queue", "decode", "rig", "ground", "points", "heading", "fit", "consistency",
+        "confidence", "encode", "total",
     ]  # fmt: skip
     durations = {name: float(duration) for name, duration in stages.items()}
     assert all(duration >= 0 for duration in durations.values())

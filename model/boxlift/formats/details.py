@@ -90,17 +90,31 @@ class ObjectDetails(_Details):
     rejected: tuple[RejectedDetails, ...]
 
 
+class WarningDetails(_Details):
+    """A doubt about the calibration of a frame, raised by its data."""
+
+    name: str = Field(description="Name of the doubt, e.g. TILTED or IMAGE_SIZE.")
+    sentence: str = Field(description="What the data say, with the numbers, and what to check.")
+
+
 class FrameDetails(_Details):
     """What became of every prompt of a frame, in the order of the prompts."""
 
     frame: str
     objects: tuple[ObjectDetails, ...]
+    warnings: tuple[WarningDetails, ...] = Field(
+        (), description="Doubts about the calibration; labels of a frame that has any may be worthless."
+    )
 
 
 def details_of(labels: FrameLabels) -> FrameDetails:
     """Labels of a frame -> their details, rounded."""
     return FrameDetails(
-        frame=labels.frame_name, objects=tuple(object_details_of(label) for label in labels.objects)
+        frame=labels.frame_name,
+        objects=tuple(object_details_of(label) for label in labels.objects),
+        warnings=tuple(
+            WarningDetails(name=warning.doubt.name, sentence=warning.sentence) for warning in labels.warnings
+        ),
     )
 
 

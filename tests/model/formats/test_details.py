@@ -9,7 +9,7 @@ import pytest
 
 from boxlift import Boxes3D, FrameLabels, ObjectLabel, Prompt, Result
 from boxlift.formats import details, kitti_label
-from boxlift.frame import Hypothesis, LossTerms, PointCounts
+from boxlift.frame import FrameWarning, Hypothesis, LossTerms, PointCounts, RigDoubt
 
 
 def box(x: float) -> Boxes3D:
@@ -38,6 +38,7 @@ LABELS = FrameLabels(
             1, Prompt("Tram", (1, 2, 3, 4)), Result.UNKNOWN_CLASS, "The class 'Tram' has no size prior."
         ),
     ),
+    (FrameWarning(RigDoubt.TILTED, "The ground leans 90 degrees."),),
 )
 
 
@@ -69,6 +70,13 @@ def test_every_prompt_is_told() -> None:
         None,
     )
     assert refused["sentence"] == "The class 'Tram' has no size prior."
+
+
+def test_warnings_are_told_and_files_without_any_can_be_read() -> None:
+    written = json.loads(details.to_text(LABELS))
+    assert written["warnings"] == [{"name": "TILTED", "sentence": "The ground leans 90 degrees."}]
+    del written["warnings"]
+    assert details.parse_text(json.dumps(written)).warnings == ()
 
 
 def test_kitti_fields_are_those_of_the_result_line() -> None:
