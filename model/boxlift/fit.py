@@ -29,6 +29,8 @@ _BEAM_NARROWS = 0.75
 # Objects in one tensor expression. Searched, more would push the intermediate tensors out of the cache;
 # Adam's are small, and a step of it takes hardly longer for many objects than for one.
 _BATCH = {"search": 4, "adam": 256}
+# A search over so few cells that its tensors are small takes more objects at once.
+_SMALL_SEARCH_CELLS, _SMALL_SEARCH_BATCH = 400, 32
 # Single precision holds 4 micrometres at 70 m.
 _DTYPE = torch.float32
 
@@ -38,6 +40,7 @@ class FitProblem:
     """One object with one hypothesis of its heading.
 
     points_xz: (M, 2) object-LiDAR-points, rectified camera frame. origin_xz: (2,) where the rays start.
+    start_xz: (2,) where the search begins; the mean of the points where none is given.
     """
 
     points_xz: Floats
@@ -45,6 +48,13 @@ class FitProblem:
     width_m: float
     rotation_y: float
     origin_xz: Floats
+    start_xz: Floats | None = None
+
+    @property
+    def anchor_xz(self) -> Floats:
+        """(2,) the middle of the search."""
+        anchor: Floats = self.points_xz.mean(axis=0) if self.start_xz is None else self.start_xz
+        return anchor
 
 
 @dataclass(frozen=True)
@@ -111,6 +121,8 @@ def fit_boxes(
     minimise = _search if settings.method == "search" else _adam
     solutions: list[FitSolution] = []
     size = _BATCH[settings.method]
+    if settings.method == "search" and (2 * settings.grid_steps + 1) ** 2 <= _SMALL_SEARCH_CELLS:
+        size = _SMALL_SEARCH_BATCH
     for start in range(0, len(problems), size):
         with torch.set_grad_enabled(settings.method == "adam"):
             batch = _stack(problems[start : start + size], loss, pad_to)
@@ -137,7 +149,7 @@ def _stack(problems: Sequence[FitProblem], loss: LossSettings, pad_to: int) -> _
         points_xz=points_xz,
         valid=is_valid,
         density=point_density(points_xz, is_valid, loss.density_radius_m),
-        anchor_xz=torch.from_numpy(np.stack([p.points_xz.mean(axis=0) for p in problems])).to(_DTYPE),
+        anchor_xz=torch.from_numpy(np.stack([problem.anchor_xz for problem in problems])).to(_DTYPE),
         origin_xz=column("origin_xz"),
         length=column("length_m"),
         width=column("width_m"),
@@ -152,10 +164,15 @@ def _search(batch: _Batch, settings: FitSettings) -> Tensor:
     Many cells are kept, not only the local minima: where rays begin to miss the box the loss jumps, and
     the centre of a cell says little about what lies in its corner.
     """
-    step = (torch.hypot(batch.length, batch.width) / 2 + _SEARCH_MARGIN_M) / settings.grid_steps
+    reach = torch.hypot(batch.length, batch.width) / 2 + _SEARCH_MARGIN_M
+    if settings.reach_m is not None:
+        reach = torch.full_like(reach, settings.reach_m)
+    step = reach / settings.grid_steps
     side = torch.arange(-settings.grid_steps, settings.grid_steps + 1, dtype=_DTYPE)
     grid = torch.cartesian_prod(side, side)[:, None] * step[:, None]
-    cells, _ = _lowest(grid, batch.thinned(_SCOUTS).loss(grid), _SCOUTED_CELLS)
+    cells = grid
+    if len(grid) > _SCOUTED_CELLS:
+        cells, _ = _lowest(grid, batch.thinned(_SCOUTS).loss(grid), _SCOUTED_CELLS)
     total = batch.loss(cells)
     best, lowest = _lowest(cells, total, 1)
     quarters = torch.cartesian_prod(*[torch.tensor([-0.25, 0.25], dtype=_DTYPE)] * 2)[:, None, None]

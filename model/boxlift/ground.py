@@ -52,7 +52,7 @@ class Ground:
         """Whether there is a plane."""
         return self.plane is not None
 
-    def height_above(self, points_cam: NDArray[np.floating]) -> Floats:
+    def height_above(self, points_cam: Floats) -> Floats:
         """(N, 3) points -> (N,) heights above the ground, metres."""
         heights = (self.plane or _LEVEL).height_above(points_cam)
         if self.surface is not None:

@@ -133,7 +133,8 @@ def _local_planes(low: Floats, is_ground: NDArray[np.bool_]) -> Floats:
         determinant = xx * zz - xz**2
         slope_x, slope_z = (xy * zz - xz * zy) / determinant, (xx * zy - xz * xy) / determinant
         surface[here] = mean_y + slope_x * (x[here] - mean_x) + slope_z * (z[here] - mean_z)
-    return np.nan_to_num(surface)
+    filled: Floats = np.nan_to_num(surface)
+    return filled
 
 
 def _window_sums(layers: Floats, reach: int) -> Floats:

@@ -40,7 +40,7 @@ class SizePrior(_Size):
     templates: tuple[SizeTemplate, ...] = Field(
         (),
         max_length=20,
-        description="Sizes that members of the class commonly have; the first is what `accurate` starts from.",
+        description="Sizes that members of the class commonly have; `accurate` starts from the first.",
     )
     spread: tuple[float, float, float] = Field(
         (0.11, 0.07, 0.08),

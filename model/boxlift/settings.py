@@ -122,7 +122,10 @@ class FitSettings(_Settings):
         "search", description="Global search with refinement, or Adam from the points' centroid."
     )
     grid_steps: int = Field(
-        24, ge=2, le=100, description="Grid steps from the points' centroid to each side of the search."
+        24, ge=2, le=100, description="Grid steps from the middle of the search to each of its sides."
+    )
+    reach_m: float | None = Field(
+        None, gt=0, le=20, description="How far to each side; half the box's diagonal and more where none."
     )
     beam_width: int = Field(
         96, ge=1, le=1_000, description="Cells that the search splits further at every level."
@@ -259,7 +262,7 @@ ACCURATE = LabellerSettings(
     preset="accurate",
     ground=GroundSettings(shape="surface", iterations=100),
     points=ObjectPointSettings(min_points=3),
-    fit=FitSettings(grid_steps=10, beam_width=16, levels=5),
+    fit=FitSettings(grid_steps=5, reach_m=1.0, beam_width=12, levels=3),
     repairs=RepairSettings(),
 )
 

@@ -81,10 +81,10 @@ def weigh(
     region: Region,
     parameters: Floats,
     size: SizePull,
-    points_weight: Floats,
-    use_edges: NDArray[np.bool_],
+    *,
+    use_edges: bool,
 ) -> Evidence:
-    """Evidence on boxes (B, 7) from the region of a prompt; `points_weight` is (M,), of its inside points."""
+    """Evidence on boxes (B, 7) from the region of a prompt."""
     frame = view.frame
     inside_xz = view.points_cam[region.inside][:, [0, 2]]
     on, short, through, beside, behind, is_on = _rays(view, region, parameters)

@@ -23,10 +23,10 @@ def to_boxes(parameters: Floats) -> Boxes3D:
 
 
 def to_box_frame(parameters: Floats, points_xz: Floats) -> tuple[Floats, Floats]:
-    """(B, 7) and (M, 2) -> along and across (B, M): the points as each box sees them from its centre."""
+    """(B, 7) and points (M, 2) or (B, M, 2) -> along, across (B, M), as each box sees them."""
     cos, sin = np.cos(parameters[:, YAW, None]), np.sin(parameters[:, YAW, None])
-    x = points_xz[:, 0] - parameters[:, X, None]
-    z = points_xz[:, 1] - parameters[:, Z, None]
+    x = points_xz[..., 0] - parameters[:, X, None]
+    z = points_xz[..., 1] - parameters[:, Z, None]
     return cos * x - sin * z, sin * x + cos * z
 
 

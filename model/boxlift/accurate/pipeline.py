@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,16 +10,22 @@ from numpy.typing import NDArray
 
 from boxlift.accurate.evidence import Evidence, weigh
 from boxlift.accurate.parameters import BOTTOM, HEIGHT, LENGTH, YAW, X, Z, to_boxes
-from boxlift.accurate.polish import SizePull, Target, outline_distance, point_weights, polish
+from boxlift.accurate.polish import (
+    Freedom,
+    SizePull,
+    Target,
+    outline_distance,
+    point_weights,
+    polish,
+)
 from boxlift.accurate.proposals import find_clusters, lower_half, propose
 from boxlift.accurate.view import Region, View, region_of
 from boxlift.accurate.weights import EVIDENCE_WEIGHTS
 from boxlift.camera import Floats
 from boxlift.fit import FitProblem, FitSolution, fit_boxes
 from boxlift.frame import Frame, LossTerms
-from boxlift.ground import Ground
 from boxlift.overlap import bev_intersection
-from boxlift.priors import SizePrior, SizeTemplate
+from boxlift.priors import SizePrior
 from boxlift.settings import LabellerSettings, RepairSettings
 
 # Object points reach this much above the class's height, as roof racks and slopes do.
@@ -30,7 +37,6 @@ _FIT_REACH_M = 0.5
 _FIT_POINTS = 3
 # Points in the uppermost fifth are inside the outline seen from above (windows, roof).
 _OUTLINE_SHARE = 0.8
-_DENSITY_RADIUS_M = 0.4
 _SCOUT_STEPS, _POLISH_STEPS = 3, 8
 # Boxes may overlap by this share of the smaller one's area: prompts and sizes are not exact.
 _MAY_OVERLAP = 0.05
@@ -48,6 +54,7 @@ class Decision:
 
     index: int
     region: Region
+    size: SizePull
     parameters: Floats
     energy: Floats
     evidence: Evidence
@@ -55,75 +62,79 @@ class Decision:
     chosen: int
 
 
-def decide(frame: Frame, view: View, usable: list[int], settings: LabellerSettings) -> dict[int, Decision]:
+@dataclass(frozen=True)
+class _Scouted:
+    """The hypotheses (B, 7) of one prompt that are worth a fit, the likeliest first, and their target."""
+
+    index: int
+    region: Region
+    size: SizePull
+    hypotheses: Floats
+    target: Target
+
+
+def decide(view: View, usable: Sequence[int], settings: LabellerSettings) -> dict[int, Decision]:
     """Decisions by prompt number; a usable prompt without any hypothesis has none."""
     assert settings.repairs is not None
     repairs = settings.repairs
+    freedom = Freedom(
+        view.frame.calibration,
+        view.frame.image_size_px,
+        use_edges=repairs.edges,
+        free=_SIZE_FIXED if repairs.size == "fixed" else Freedom.free,
+    )
     claimed = np.zeros(len(view.points_cam), dtype=np.bool_)
-    decisions: list[Decision] = []
-    for index in _near_to_far(frame, usable):
-        decision = _decide_one(view, index, claimed, settings, repairs)
-        if decision is None:
+    scouted: list[_Scouted] = []
+    for index in _near_to_far(view.frame, usable):
+        found = _scout(view, index, claimed, freedom, settings, repairs)
+        if found is None:
             continue
-        decisions.append(decision)
+        scouted.append(found)
         if repairs.claim:
-            claimed |= _explained(view, decision.parameters[decision.chosen])
+            claimed |= _explained(view, found.hypotheses[0])
+    if not scouted:
+        return {}
+    decisions = _fit_and_weigh(view, scouted, freedom, settings, repairs)
     if repairs.exclusion_weight > 0:
         decisions = _exclude(decisions, repairs.exclusion_weight)
     return {decision.index: decision for decision in decisions}
 
 
-def _near_to_far(frame: Frame, usable: list[int]) -> list[int]:
+def _near_to_far(frame: Frame, usable: Sequence[int]) -> list[int]:
     """The lower a prompt ends in the image, the nearer its object stands."""
     return sorted(usable, key=lambda index: -frame.prompts[index].box_px[3])
 
 
-def _decide_one(
-    view: View, index: int, claimed: NDArray[np.bool_], settings: LabellerSettings, repairs: RepairSettings
-) -> Decision | None:
-    frame = view.frame
-    prior = settings.sizes[frame.prompts[index].category]
-    pull = size_pull(prior, fixed=repairs.size == "fixed")
-    length_m, width_m, height_m = pull.lwh_m
-    region = region_of(view, index, claimed, float(height_m) + _ABOVE_M)
+def _scout(
+    view: View,
+    index: int,
+    claimed: NDArray[np.bool_],
+    freedom: Freedom,
+    settings: LabellerSettings,
+    repairs: RepairSettings,
+) -> _Scouted | None:
+    """Hypotheses on one prompt from the points that no nearer object has claimed."""
+    prior = settings.sizes[view.frame.prompts[index].category]
+    size = size_pull(prior, fixed=repairs.size == "fixed")
+    height_m = float(size.lwh_m[2])
+    region = region_of(view, index, claimed, height_m + _ABOVE_M)
     if len(region.inside) < settings.points.min_points:
         return None
     clusters = find_clusters(view, region, repairs)
-    size = SizeTemplate(
-        name="frozen", height_m=height_m, width_m=width_m, length_m=length_m, source="settings"
-    )
-    proposals = propose(view, region, clusters, size, settings.points.sample_count, repairs)
+    proposals = propose(view, region, clusters, size.lwh_m, settings.points.sample_count, repairs)
     if len(proposals) == 0:
         return None
-
     points_xz = view.points_cam[region.inside][:, [0, 2]]
-    weights = point_weights(points_xz, _DENSITY_RADIUS_M)
-    use_edges = np.full(4, repairs.edges)
-    target = Target(
-        points_xz=points_xz,
-        weights=weights * (view.above_m[region.inside] < _OUTLINE_SHARE * height_m),
-        box_px=region.box_px,
-        use_edges=use_edges,
-        image_size_px=frame.image_size_px,
-        calibration=frame.calibration,
-        size=pull,
-        bottom_y=proposals[:, BOTTOM],
-        free=_SIZE_FIXED if repairs.size == "fixed" else Target.free,
-    )
-    scouted = polish(proposals, target, _SCOUT_STEPS) if repairs.polish else proposals
-    seen = weigh(view, region, scouted, pull, weights, use_edges)
-    order = np.argsort(seen.energy(EVIDENCE_WEIGHTS), kind="stable")[: repairs.fits]
-    frozen = scouted[order]
-    frozen[:, LENGTH : HEIGHT + 1] = pull.lwh_m
-    fitted, losses = _fit(view, region, frozen, settings)
-    fitted[:, BOTTOM] = view.ground.y_at(fitted[:, X], fitted[:, Z])
+    weights = point_weights(points_xz, settings.loss.density_radius_m)
+    weights *= view.above_m[region.inside] < _OUTLINE_SHARE * height_m
+    target = Target.of_one(len(proposals), points_xz, weights, region.box_px, size, proposals[:, BOTTOM])
     if repairs.polish:
-        fitted = polish(fitted, replace(target, bottom_y=fitted[:, BOTTOM]), _POLISH_STEPS)
-    evidence = weigh(view, region, fitted, pull, weights, use_edges)
-    energy = evidence.energy(EVIDENCE_WEIGHTS)
-    if repairs.choose == "loss":
-        energy = np.array([np.inf if loss is None else loss.total for loss in losses])
-    return Decision(index, region, fitted, energy, evidence, losses, int(energy.argmin()))
+        proposals = polish(proposals, target, freedom, _SCOUT_STEPS)
+    energy = weigh(view, region, proposals, size, use_edges=repairs.edges).energy(EVIDENCE_WEIGHTS)
+    hypotheses = proposals[np.argsort(energy, kind="stable")[: repairs.fits]]
+    ground_y = view.ground.y_at(hypotheses[:, X], hypotheses[:, Z])
+    target = Target.of_one(len(hypotheses), points_xz, weights, region.box_px, size, ground_y)
+    return _Scouted(index, region, size, hypotheses, target)
 
 
 def size_pull(prior: SizePrior, *, fixed: bool) -> SizePull:
@@ -133,35 +144,67 @@ def size_pull(prior: SizePrior, *, fixed: bool) -> SizePull:
     return SizePull(lwh, lwh * np.array(prior.spread))
 
 
-def _fit(
-    view: View, region: Region, frozen: Floats, settings: LabellerSettings
-) -> tuple[Floats, tuple[LossTerms | None, ...]]:
-    """Minimum of the paper's losses for each box (B, 7), size and heading frozen, on the points around it."""
-    inside_xz = view.points_cam[region.inside][:, [0, 2]]
-    near = outline_distance(frozen, inside_xz) < _FIT_REACH_M
-    points = [lower_half(view, region.inside[rows]) for rows in near]
-    points = [some[:: max(1, -(-len(some) // settings.points.sample_count))] for some in points]
-    fittable = [row for row, some in enumerate(points) if len(some) >= _FIT_POINTS]
-    origin_cam = (
-        view.sensor_cam if settings.loss.ray_origin == "lidar" else view.frame.calibration.camera_center_cam
-    )
-    problems = [
-        FitProblem(
-            points_xz=points[row],
-            length_m=float(frozen[row, LENGTH]),
-            width_m=float(frozen[row, LENGTH + 1]),
-            rotation_y=float(frozen[row, YAW]),
-            origin_xz=origin_cam[[0, 2]],
+def _fit_and_weigh(
+    view: View,
+    scouted: Sequence[_Scouted],
+    freedom: Freedom,
+    settings: LabellerSettings,
+    repairs: RepairSettings,
+) -> list[Decision]:
+    """The paper's fit of every hypothesis of the frame, the polish of all, and the evidence on each."""
+    fits = _fit(view, scouted, settings)
+    fitted = np.concatenate([item.hypotheses for item in scouted])
+    target = Target.joined([item.target for item in scouted])
+    fitted[:, LENGTH : HEIGHT + 1] = target.lwh_m
+    fitted[:, BOTTOM] = target.bottom_y
+    for row, fit in enumerate(fits):
+        if fit is not None:
+            fitted[row, [X, Z]] = fit.center_xz
+    if repairs.polish:
+        fitted = polish(fitted, target, freedom, _POLISH_STEPS)
+    decisions = []
+    start = 0
+    for item in scouted:
+        rows = slice(start, start + len(item.hypotheses))
+        start = rows.stop
+        evidence = weigh(view, item.region, fitted[rows], item.size, use_edges=repairs.edges)
+        losses = tuple(None if fit is None else fit.losses for fit in fits[rows])
+        energy = evidence.energy(EVIDENCE_WEIGHTS)
+        if repairs.choose == "loss":
+            energy = np.array([np.inf if loss is None else loss.total for loss in losses])
+        chosen = int(energy.argmin())
+        decisions.append(
+            Decision(item.index, item.region, item.size, fitted[rows], energy, evidence, losses, chosen)
         )
-        for row in fittable
-    ]
-    solutions = fit_boxes(problems, settings.fit, settings.loss, settings.points.sample_count)
-    by_row: dict[int, FitSolution] = dict(zip(fittable, solutions, strict=True))
-    fitted = frozen.copy()
-    for row, solution in by_row.items():
-        fitted[row, [X, Z]] = solution.center_xz
-    losses = tuple(by_row[row].losses if row in by_row else None for row in range(len(frozen)))
-    return fitted, losses
+    return decisions
+
+
+def _fit(view: View, scouted: Sequence[_Scouted], settings: LabellerSettings) -> list[FitSolution | None]:
+    """The minimum of the paper's losses near each hypothesis, size and heading frozen, on the points there.
+
+    None where fewer than three points are near.
+    """
+    from_lidar = settings.loss.ray_origin == "lidar"
+    origin_cam = view.sensor_cam if from_lidar else view.frame.calibration.camera_center_cam
+    count = settings.points.sample_count
+    problems: list[FitProblem | None] = []
+    for item in scouted:
+        length_m, width_m, _ = item.size.lwh_m
+        inside_xz = view.points_cam[item.region.inside][:, [0, 2]]
+        near = outline_distance(item.hypotheses, inside_xz) < _FIT_REACH_M
+        for hypothesis, is_near in zip(item.hypotheses, near, strict=True):
+            points_xz = lower_half(view, item.region.inside[is_near])
+            problem = FitProblem(
+                points_xz=points_xz[:: -(-len(points_xz) // count) or 1],
+                length_m=float(length_m),
+                width_m=float(width_m),
+                rotation_y=float(hypothesis[YAW]),
+                origin_xz=origin_cam[[0, 2]],
+                start_xz=hypothesis[[X, Z]],
+            )
+            problems.append(problem if len(points_xz) >= _FIT_POINTS else None)
+    solved = iter(fit_boxes([p for p in problems if p is not None], settings.fit, settings.loss, count))
+    return [None if problem is None else next(solved) for problem in problems]
 
 
 def _explained(view: View, box: Floats) -> NDArray[np.bool_]:

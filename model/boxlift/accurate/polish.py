@@ -7,10 +7,10 @@ prompt's, and priors for the size, the bottom (local ground) and the heading.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boxlift.accurate.parameters import (
     BOTTOM,
@@ -51,22 +51,61 @@ class SizePull:
 
 @dataclass(frozen=True)
 class Target:
-    """What the boxes of one prompt are pulled to.
+    """What B boxes are pulled to, each to its own.
 
-    points_xz (M, 2) with weights (M,) that sum to what they are worth. box_px (4,) the prompt cut to the
-    image, which the projected boxes are cut to as well: an edge beyond the border costs nothing.
-    use_edges: (4,) which of its edges count. bottom_y (B,) the ground under each box. free: which of the
-    seven parameters may move.
+    points_xz (B, M, 2) with weights (B, M), 0 where a point is padding. box_px (B, 4) the prompt cut to the
+    image, which the projected box is cut to as well: an edge beyond the border costs nothing. lwh_m,
+    sigma_m (B, 3) the size and how far it may be off. bottom_y (B,) the ground.
     """
 
     points_xz: Floats
     weights: Floats
     box_px: Floats
-    use_edges: NDArray[np.bool_]
-    image_size_px: tuple[int, int]
-    calibration: Calibration
-    size: SizePull
+    lwh_m: Floats
+    sigma_m: Floats
     bottom_y: Floats
+
+    @classmethod
+    def of_one(
+        cls, count: int, points_xz: Floats, weights: Floats, box_px: Floats, size: SizePull, bottom_y: Floats
+    ) -> Target:
+        """The target of `count` hypotheses on one prompt: points (M, 2), weights (M,), box (4,)."""
+        points, weight, box, lwh, sigma = (
+            np.broadcast_to(one, (count, *one.shape))
+            for one in (points_xz, weights, box_px, size.lwh_m, size.sigma_m)
+        )
+        return cls(points, weight, box, lwh, sigma, bottom_y)
+
+    @classmethod
+    def joined(cls, targets: Sequence[Target]) -> Target:
+        """Targets one after the other, their points padded to the largest number."""
+        most = max(target.weights.shape[1] for target in targets)
+
+        def padded(array: Floats) -> Floats:
+            widths = [(0, 0)] * array.ndim
+            widths[1] = (0, most - array.shape[1])
+            return np.pad(array, widths)
+
+        return cls(
+            np.concatenate([padded(target.points_xz) for target in targets]),
+            np.concatenate([padded(target.weights) for target in targets]),
+            *(
+                np.concatenate([getattr(target, name) for target in targets])
+                for name in ("box_px", "lwh_m", "sigma_m", "bottom_y")
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """What the polish knows of the camera, and what it may do.
+
+    use_edges: whether the prompt's edges count. free: which of the seven parameters may move.
+    """
+
+    calibration: Calibration
+    image_size_px: tuple[int, int]
+    use_edges: bool = True
     free: tuple[int, ...] = (X, Z, YAW, LENGTH, WIDTH, HEIGHT, BOTTOM)
 
 
@@ -80,7 +119,7 @@ def point_weights(points_xz: Floats, radius_m: float) -> Floats:
 
 
 def outline_distance(parameters: Floats, points_xz: Floats) -> Floats:
-    """(B, M) signed distance of points (M, 2) beyond the nearest side of each box; negative inside."""
+    """(B, M) signed distance of points (M, 2) beyond the nearest side of B boxes; negative inside."""
     along, across = to_box_frame(parameters, points_xz)
     beyond: Floats = np.maximum(
         np.abs(along) - parameters[:, LENGTH, None] / 2, np.abs(across) - parameters[:, WIDTH, None] / 2
@@ -95,21 +134,21 @@ def edge_errors(
     edges, derivative = project_edges(parameters, calibration)
     width, height = image_size_px
     border = np.array([width - 1, height - 1, width - 1, height - 1])
-    sides = box_px[[2, 3, 2, 3]] - box_px[[0, 1, 0, 1]]
+    sides = box_px[..., [2, 3, 2, 3]] - box_px[..., [0, 1, 0, 1]]
     sigma = _EDGE_PX + _EDGE_SHARE * sides
     within = (edges > 0) & (edges < border)
     errors: Floats = (edges.clip(0, border) - box_px) / sigma
-    slopes: Floats = derivative * within[..., None] / sigma[:, None]
+    slopes: Floats = derivative * within[..., None] / sigma[..., None]
     return errors, slopes
 
 
-def polish(parameters: Floats, target: Target, steps: int) -> Floats:
+def polish(parameters: Floats, target: Target, freedom: Freedom, steps: int) -> Floats:
     """(B, 7) -> (B, 7) boxes nearer to their target; a step that does not help is not taken."""
     current = parameters.copy()
     start_yaw = parameters[:, YAW].copy()
-    free = list(target.free)
+    free = list(freedom.free)
     damping = np.full(len(current), 1e-2)
-    cost, normal, gradient = _linearised(current, start_yaw, target)
+    cost, normal, gradient = _linearised(current, start_yaw, target, freedom)
     for _ in range(steps):
         diagonal = np.einsum("bpp->bp", normal)
         damped = normal + (damping[:, None] * diagonal + 1e-6)[:, :, None] * np.eye(7)
@@ -118,7 +157,7 @@ def polish(parameters: Floats, target: Target, steps: int) -> Floats:
         step[:, free] = -np.linalg.solve(sub, gradient[:, free, None])[..., 0]
         moved = current + step.clip(-_LARGEST_STEP, _LARGEST_STEP)
         moved[:, LENGTH : HEIGHT + 1] = moved[:, LENGTH : HEIGHT + 1].clip(_SMALLEST_SIDE_M)
-        new_cost, new_normal, new_gradient = _linearised(moved, start_yaw, target)
+        new_cost, new_normal, new_gradient = _linearised(moved, start_yaw, target, freedom)
         better = new_cost < cost
         current[better], cost[better] = moved[better], new_cost[better]
         normal[better], gradient[better] = new_normal[better], new_gradient[better]
@@ -126,13 +165,15 @@ def polish(parameters: Floats, target: Target, steps: int) -> Floats:
     return current
 
 
-def _linearised(parameters: Floats, start_yaw: Floats, target: Target) -> tuple[Floats, Floats, Floats]:
+def _linearised(
+    parameters: Floats, start_yaw: Floats, target: Target, freedom: Freedom
+) -> tuple[Floats, Floats, Floats]:
     """Cost (B,), normal matrices (B, 7, 7) and gradients (B, 7), robust terms as reweighted squares."""
     point_cost, point_residual, point_slope = _point_terms(parameters, target)
-    edge, edge_slope = edge_errors(parameters, target.box_px, target.image_size_px, target.calibration)
+    edge, edge_slope = edge_errors(parameters, target.box_px, freedom.image_size_px, freedom.calibration)
     scaled = (edge / _EDGE_CAUCHY) ** 2
-    edge_weight = target.use_edges / (1 + scaled)
-    edge_cost = (target.use_edges * _EDGE_CAUCHY**2 * np.log1p(scaled)).sum(1)
+    edge_weight = freedom.use_edges / (1 + scaled)
+    edge_cost = freedom.use_edges * _EDGE_CAUCHY**2 * np.log1p(scaled).sum(1)
     prior, prior_scale = _prior_terms(parameters, start_yaw, target)
 
     weighted = edge_slope * edge_weight[..., None]
@@ -140,7 +181,7 @@ def _linearised(parameters: Floats, start_yaw: Floats, target: Target) -> tuple[
         "bep,beq->bpq", weighted, edge_slope
     )
     gradient = np.einsum("bmp,bm->bp", point_slope, point_residual) + np.einsum("bep,be->bp", weighted, edge)
-    normal += np.diag(prior_scale**2)
+    normal += prior_scale[:, :, None] ** 2 * np.eye(7)
     gradient += prior * prior_scale
     return point_cost + edge_cost + (prior**2).sum(1), normal, gradient
 
@@ -169,15 +210,9 @@ def _point_terms(parameters: Floats, target: Target) -> tuple[Floats, Floats, Fl
 
 
 def _prior_terms(parameters: Floats, start_yaw: Floats, target: Target) -> tuple[Floats, Floats]:
-    """Priors as residuals (B, 7) in standard deviations, and one over those (7,); 0 where there is none."""
-    wanted = np.concatenate(
-        [
-            np.zeros((len(parameters), 2)),
-            start_yaw[:, None],
-            np.tile(target.size.lwh_m, (len(parameters), 1)),
-            target.bottom_y[:, None],
-        ],
-        axis=1,
-    )
-    scale = np.array([0.0, 0.0, 1 / _YAW_RAD, *(1 / target.size.sigma_m), 1 / _GROUND_M])
+    """Priors as residuals (B, 7) in standard deviations, and one over those (B, 7); 0 without a prior."""
+    nothing = np.zeros((len(parameters), 2))
+    wanted = np.column_stack([nothing, start_yaw, target.lwh_m, target.bottom_y])
+    yaw, ground = np.full(len(parameters), 1 / _YAW_RAD), np.full(len(parameters), 1 / _GROUND_M)
+    scale = np.column_stack([nothing, yaw, 1 / target.sigma_m, ground])
     return (parameters - wanted) * scale, scale

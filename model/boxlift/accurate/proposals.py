@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from boxlift.accurate.parameters import X, YAW, Z
+from boxlift.accurate.parameters import X, Z
 from boxlift.accurate.view import Indices, Region, View
 from boxlift.camera import Floats
 from boxlift.extras import open3d
-from boxlift.priors import SizeTemplate
 from boxlift.settings import RepairSettings
 
 # DBSCAN's radius grows with the range: beams diverge (ours; near cars that touch stay apart).
@@ -92,24 +91,21 @@ def propose(
     view: View,
     region: Region,
     clusters: list[Cluster],
-    category_size: SizeTemplate,
+    lwh_m: Floats,
     sample_count: int,
     settings: RepairSettings,
 ) -> Floats:
-    """(B, 7) boxes worth a look; none where the prompt has no clusters and may not be used alone."""
-    size = np.array([category_size.length_m, category_size.width_m, category_size.height_m])
+    """(B, 7) boxes of a size (3,) worth a look: from the clusters, and from the prompt alone where set."""
     sensor_xz = view.sensor_cam[[0, 2]]
     places: list[tuple[float, float, float]] = []
-    directions: list[float] = []
     for cluster in clusters:
         points_xz = lower_half(view, cluster.rows)
         points_xz = points_xz[:: max(1, len(points_xz) // sample_count)]
-        directions = main_directions(points_xz, settings.closeness)
-        for direction in directions:
+        for direction in main_directions(points_xz, settings.closeness):
             for yaw in (direction, direction + _QUARTER) if settings.perpendicular else (direction,):
-                places += _placements(points_xz, yaw, size, sensor_xz, either_end=region.may_hide)
+                places += _placements(points_xz, yaw, lwh_m, sensor_xz, either_end=region.may_hide)
     if settings.prompt_placement:
-        places += _from_prompt(view, region, float(size[2]))
+        places += _from_prompt(view, region, float(lwh_m[2]))
     if not places:
         return np.empty((0, 7))
     placed = np.array(places)
@@ -117,7 +113,7 @@ def propose(
     _, first = np.unique(grains, axis=0, return_index=True)
     placed = placed[np.sort(first)]
     bottom = view.ground.y_at(placed[:, X], placed[:, Z])
-    return np.concatenate([placed, np.tile(size, (len(placed), 1)), bottom[:, None]], axis=1)
+    return np.concatenate([placed, np.tile(lwh_m, (len(placed), 1)), bottom[:, None]], axis=1)
 
 
 def main_directions(points_xz: Floats, closeness: bool) -> list[float]:
@@ -146,10 +142,11 @@ def _closest_l_shape(points_xz: Floats) -> float:
     angles = np.arange(_CLOSENESS_STEPS) * _QUARTER / _CLOSENESS_STEPS
     cos, sin = np.cos(angles)[:, None], np.sin(angles)[:, None]
     x, z = points_xz.T
-    gaps = []
-    for axis in (cos * x - sin * z, sin * x + cos * z):
-        gaps.append(np.minimum(axis - axis.min(1, keepdims=True), axis.max(1, keepdims=True) - axis))
-    closeness = (1 / np.minimum(*gaps).clip(_CLOSENESS_FLOOR_M)).mean(1)
+    along, across = (
+        np.minimum(axis - axis.min(1, keepdims=True), axis.max(1, keepdims=True) - axis)
+        for axis in (cos * x - sin * z, sin * x + cos * z)
+    )
+    closeness = (1 / np.minimum(along, across).clip(_CLOSENESS_FLOOR_M)).mean(1)
     return float(angles[closeness.argmax()])
 
 
@@ -164,7 +161,7 @@ def _placements(
     cos, sin = np.cos(yaw), np.sin(yaw)
     turn = np.array([[cos, -sin], [sin, cos]])
     axes, sensor = turn @ points_xz.T, turn @ sensor_xz
-    options = []
+    options: list[tuple[float, ...]] = []
     for axis, from_side, side in zip(axes, sensor, size[:2], strict=True):
         low, high = np.quantile(axis, (_QUANTILE, 1 - _QUANTILE))
         extent, middle = high - low, (low + high) / 2
