@@ -23,7 +23,7 @@ from boxlift.accurate.parameters import to_boxes
 from boxlift.accurate.view import View
 from boxlift.camera import Floats
 from boxlift.datasets.generated import RIGS, GeneratedFrame, SceneSettings, generate
-from boxlift.formats.kitti_label import boxes3d_of
+from boxlift.formats.kitti_label import KittiObject, boxes3d_of
 from boxlift.ground import find_ground
 from boxlift.object_points import points_in_image
 from boxlift.overlap import iou_3d
@@ -35,13 +35,17 @@ _FIRST_SEED = 5_000
 _DENSE = SceneSettings(parked=2.0, moving=1.5, people=1.5)
 _MANY_FITS = 12
 _STEPS, _RATE, _RIDGE = 400, 0.05, 1e-3
+# What a weight may be: an error cannot speak for a box, nor points on it against it. Rays that fall short
+# or miss say nothing of their own, as what hides an object need not have a prompt.
+_AGAINST = ("sides", "vertical", "length", "width", "height", "ground", "through", "behind", "spill", "misfit")
+_FOR = ("on", "span", "contained", "count")
 
 
 @dataclass(frozen=True)
 class Choice:
     """One prompt: evidence (B, F) on its hypotheses and their 3D IoU (B,) with the truth."""
 
-    category: str
+    truth: KittiObject
     evidence: Floats
     iou: Floats
 
@@ -54,8 +58,7 @@ def choices_of(generated: GeneratedFrame, settings: LabellerSettings) -> Iterato
     for index, decision in decisions.items():
         boxes = to_boxes(decision.parameters)
         truth = boxes3d_of([generated.truth[index]] * len(boxes))
-        category = frame.prompts[index].category
-        yield Choice(category, decision.evidence.matrix(), iou_3d(truth, boxes))
+        yield Choice(generated.truth[index], decision.evidence.matrix(), iou_3d(truth, boxes))
 
 
 def fit_weights(choices: list[Choice]) -> Floats:
@@ -72,6 +75,8 @@ def fit_weights(choices: list[Choice]) -> Floats:
     scale = evidence[offered].std(axis=0) + 1e-6
     scaled, values, mask = torch.tensor(evidence / scale), torch.tensor(value), torch.tensor(offered)
     weights: Tensor = torch.zeros(len(NAMES), dtype=torch.float64, requires_grad=True)
+    low = torch.tensor([-torch.inf if name in _FOR else 0.0 for name in NAMES], dtype=torch.float64)
+    high = torch.tensor([torch.inf if name in _AGAINST else 0.0 for name in NAMES], dtype=torch.float64)
     optimiser = torch.optim.Adam([weights], lr=_RATE)
     for _ in range(_STEPS):
         energy = (scaled @ weights).masked_fill(~mask, torch.inf)
@@ -79,6 +84,8 @@ def fit_weights(choices: list[Choice]) -> Floats:
         loss = _RIDGE * weights.square().sum() - expected
         (weights.grad,) = torch.autograd.grad(loss, [weights])
         optimiser.step()
+        with torch.no_grad():
+            weights.clamp_(low, high)
     fitted: Floats = weights.detach().numpy() / scale
     return fitted
 
@@ -86,6 +93,7 @@ def fit_weights(choices: list[Choice]) -> Floats:
 def main() -> None:
     """Collect, fit, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("dump", nargs="?")
     parser.add_argument("--frames", type=int, default=30, help="frames per rig and kind of scene")
     count = parser.parse_args().frames
     torch.set_num_threads(1)
@@ -100,11 +108,14 @@ def main() -> None:
         for choice in choices_of(generate(_FIRST_SEED + 1_000 * kind + seed, RIGS[rig], scene), settings)
         if choice.iou.max() > 0.3
     ]
+    if len(__import__("sys").argv) > 3:
+        __import__("pickle").dump(choices, open(__import__("sys").argv[3], "wb"))
     weights = fit_weights(choices)
     print(f"# {len(choices)} choices")
     print("EVIDENCE_WEIGHTS = {")
     for name, weight in zip(NAMES, weights, strict=True):
-        print(f'    "{name}": {weight:.2f},')
+        if weight:
+            print(f'    "{name}": {weight:.2f},')
     print("}")
 
 

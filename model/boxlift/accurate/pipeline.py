@@ -18,7 +18,7 @@ from boxlift.accurate.polish import (
     point_weights,
     polish,
 )
-from boxlift.accurate.proposals import find_clusters, lower_half, propose
+from boxlift.accurate.proposals import distinct, find_clusters, lower_half, propose
 from boxlift.accurate.view import Region, View, region_of
 from boxlift.accurate.weights import EVIDENCE_WEIGHTS
 from boxlift.camera import Floats
@@ -131,7 +131,7 @@ def _scout(
     if repairs.polish:
         proposals = polish(proposals, target, freedom, _SCOUT_STEPS)
     energy = weigh(view, region, proposals, size, use_edges=repairs.edges).energy(EVIDENCE_WEIGHTS)
-    hypotheses = proposals[np.argsort(energy, kind="stable")[: repairs.fits]]
+    hypotheses = distinct(proposals[np.argsort(energy, kind="stable")])[: repairs.fits]
     ground_y = view.ground.y_at(hypotheses[:, X], hypotheses[:, Z])
     target = Target.of_one(len(hypotheses), points_xz, weights, region.box_px, size, ground_y)
     return _Scouted(index, region, size, hypotheses, target)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from boxlift.accurate.parameters import X, Z
+from boxlift.accurate.parameters import YAW, X, Z
 from boxlift.accurate.view import Indices, Region, View
 from boxlift.camera import Floats
 from boxlift.extras import open3d
@@ -108,12 +108,16 @@ def propose(
         places += _from_prompt(view, region, float(lwh_m[2]))
     if not places:
         return np.empty((0, 7))
-    placed = np.array(places)
-    grains = np.rint(placed / _GRAIN)
-    _, first = np.unique(grains, axis=0, return_index=True)
-    placed = placed[np.sort(first)]
+    placed = distinct(np.array(places))
     bottom = view.ground.y_at(placed[:, X], placed[:, Z])
     return np.concatenate([placed, np.tile(lwh_m, (len(placed), 1)), bottom[:, None]], axis=1)
+
+
+def distinct(boxes: Floats) -> Floats:
+    """(B, 3+) rows x, z, heading, ... -> those that differ from all rows before them, in their order."""
+    _, first = np.unique(np.rint(boxes[:, : YAW + 1] / _GRAIN), axis=0, return_index=True)
+    kept: Floats = boxes[np.sort(first)]
+    return kept
 
 
 def main_directions(points_xz: Floats, closeness: bool) -> list[float]:
