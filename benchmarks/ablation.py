@@ -33,6 +33,7 @@ from boxlift.camera import Floats
 from boxlift.datasets import load_objects, open_source
 from boxlift.datasets.generated import generate
 from boxlift.evaluation import DIFFICULTIES, LabelTable, judge_pseudo_labels
+from boxlift.faithful import fit_problems
 from boxlift.fit import FitProblem
 from boxlift.formats.kitti_label import KittiObject, objects_of, prompts_of
 from boxlift.labeller import Labeller
@@ -146,7 +147,7 @@ def _labels(settings: LabellerSettings, data: Dataset) -> tuple[list[FrameLabels
     """The labels of every frame, and what was handed to the fit."""
     labeller = Labeller(settings)
     labels = [labeller.label(frame) for frame in data.frames]
-    return labels, [labeller.fit_problems(frame) for frame in data.frames]
+    return labels, [fit_problems(frame, labeller.settings) for frame in data.frames]
 
 
 def kitti(folder: Path) -> Dataset:

@@ -17,15 +17,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from boxlift.accurate import decide
 from boxlift.accurate.evidence import Evidence
 from boxlift.accurate.parameters import to_boxes
+from boxlift.accurate.pipeline import decide
 from boxlift.accurate.view import View
 from boxlift.camera import Floats
 from boxlift.datasets.generated import RIGS, GeneratedFrame, SceneSettings, generate
 from boxlift.formats.kitti_label import KittiObject, boxes3d_of
-from boxlift.ground import find_ground
-from boxlift.object_points import points_in_image
 from boxlift.overlap import iou_3d
 from boxlift.settings import ACCURATE, LabellerSettings
 
@@ -37,7 +35,18 @@ _MANY_FITS = 12
 _STEPS, _RATE, _RIDGE = 400, 0.05, 1e-3
 # What a weight may be: an error cannot speak for a box, nor points on it against it. Rays that fall short
 # or miss say nothing of their own, as what hides an object need not have a prompt.
-_AGAINST = ("sides", "vertical", "length", "width", "height", "ground", "through", "behind", "spill", "misfit")
+_AGAINST = (
+    "sides",
+    "vertical",
+    "length",
+    "width",
+    "height",
+    "ground",
+    "through",
+    "behind",
+    "spill",
+    "misfit",
+)
 _FOR = ("on", "span", "contained", "count")
 
 
@@ -53,8 +62,7 @@ class Choice:
 def choices_of(generated: GeneratedFrame, settings: LabellerSettings) -> Iterator[Choice]:
     """The choices that the frame's prompts pose."""
     frame = generated.frame
-    ground = find_ground(points_in_image(frame).cam, frame.name, settings.ground)
-    decisions = decide(View.of(frame, ground), range(len(frame.prompts)), settings)
+    decisions = decide(View.of(frame, settings.ground), range(len(frame.prompts)), settings)
     for index, decision in decisions.items():
         boxes = to_boxes(decision.parameters)
         truth = boxes3d_of([generated.truth[index]] * len(boxes))
@@ -93,7 +101,6 @@ def fit_weights(choices: list[Choice]) -> Floats:
 def main() -> None:
     """Collect, fit, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("dump", nargs="?")
     parser.add_argument("--frames", type=int, default=30, help="frames per rig and kind of scene")
     count = parser.parse_args().frames
     torch.set_num_threads(1)
@@ -108,8 +115,6 @@ def main() -> None:
         for choice in choices_of(generate(_FIRST_SEED + 1_000 * kind + seed, RIGS[rig], scene), settings)
         if choice.iou.max() > 0.3
     ]
-    if len(__import__("sys").argv) > 3:
-        __import__("pickle").dump(choices, open(__import__("sys").argv[3], "wb"))
     weights = fit_weights(choices)
     print(f"# {len(choices)} choices")
     print("EVIDENCE_WEIGHTS = {")

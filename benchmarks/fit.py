@@ -26,8 +26,8 @@ from boxlift import Frame, InputError
 from boxlift.camera import Floats
 from boxlift.datasets import load_prompts, open_source
 from boxlift.datasets.generated import generate
+from boxlift.faithful import fit_problems
 from boxlift.fit import FitProblem, fit_boxes
-from boxlift.labeller import Labeller
 from boxlift.losses import BevBoxes, balanced_loss, point_density
 from boxlift.settings import FitSettings, LabellerSettings, preset
 
@@ -116,8 +116,7 @@ def main() -> None:
     adam = settings.fit.model_copy(update={"method": "adam", "adam_steps": 500})
     torch.set_num_threads(1)
 
-    labeller = Labeller(settings)
-    by_frame = [labeller.fit_problems(frame) for frame in frames_of(folder, arguments.prompts)]
+    by_frame = [fit_problems(frame, settings) for frame in frames_of(folder, arguments.prompts)]
     by_frame = [problems for problems in by_frame if problems]
     everything = [item for problems in by_frame for item in problems]
     print(f"{platform.machine()}, torch {torch.__version__}, 1 thread; preset {settings.preset}")

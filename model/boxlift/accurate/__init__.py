@@ -5,6 +5,6 @@ alone), the best of them fitted by the paper's losses with size and heading froz
 the evidence. What a chosen box explains is not offered again.
 """
 
-from boxlift.accurate.pipeline import Decision, decide
+from boxlift.accurate.labels import label_accurately
 
-__all__ = ["Decision", "decide"]
+__all__ = ["label_accurately"]

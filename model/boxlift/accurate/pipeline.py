@@ -27,6 +27,7 @@ from boxlift.frame import Frame, LossTerms
 from boxlift.overlap import bev_intersection
 from boxlift.priors import SizePrior
 from boxlift.settings import LabellerSettings, RepairSettings
+from boxlift.stage_times import StageTimes
 
 # Object points reach this much above the class's height, as roof racks and slopes do.
 _ABOVE_M = 0.2
@@ -41,7 +42,6 @@ _SCOUT_STEPS, _POLISH_STEPS = 3, 8
 # Boxes may overlap by this share of the smaller one's area: prompts and sizes are not exact.
 _MAY_OVERLAP = 0.05
 _EXCLUSION_ROUNDS = 4
-_SIZE_FIXED = (X, Z, YAW, BOTTOM)
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,8 @@ class Decision:
     """What was decided on one prompt.
 
     parameters: (B, 7) the hypotheses after fit and polish. energy: (B,) the lower, the likelier.
-    losses: of each fit, None where there were too few points for one. chosen: the row of the box.
+    losses: of each fit, None where there were too few points for one. used: points that it saw. chosen:
+    the row of the box.
     """
 
     index: int
@@ -59,6 +60,7 @@ class Decision:
     energy: Floats
     evidence: Evidence
     losses: tuple[LossTerms | None, ...]
+    used: tuple[int, ...]
     chosen: int
 
 
@@ -73,16 +75,52 @@ class _Scouted:
     target: Target
 
 
-def decide(view: View, usable: Sequence[int], settings: LabellerSettings) -> dict[int, Decision]:
+def decide(
+    view: View, usable: Sequence[int], settings: LabellerSettings, times: StageTimes | None = None
+) -> dict[int, Decision]:
     """Decisions by prompt number; a usable prompt without any hypothesis has none."""
-    assert settings.repairs is not None
-    repairs = settings.repairs
+    times = times or StageTimes()
+    repairs = settings.repairs or RepairSettings()
     freedom = Freedom(
         view.frame.calibration,
         view.frame.image_size_px,
         use_edges=repairs.edges,
-        free=_SIZE_FIXED if repairs.size == "fixed" else Freedom.free,
     )
+    with times.stage("scout"):
+        scouted = _scout_all(view, usable, freedom, settings, repairs)
+    if not scouted:
+        return {}
+    with times.stage("fit"):
+        problems = _fit_problems(view, scouted, settings)
+        fits = iter(
+            fit_boxes(
+                [problem for problem in problems if problem is not None],
+                settings.fit,
+                settings.loss,
+                settings.points.sample_count,
+            )
+        )
+        solutions = [None if problem is None else next(fits) for problem in problems]
+    with times.stage("polish"):
+        boxes = _place(scouted, solutions)
+        if repairs.polish:
+            boxes = polish(boxes, Target.joined([item.target for item in scouted]), freedom, _POLISH_STEPS)
+    with times.stage("evidence"):
+        used = [0 if problem is None else len(problem.points_xz) for problem in problems]
+        decisions = _weigh_all(view, scouted, boxes, solutions, used, repairs)
+        if repairs.exclusion_weight > 0:
+            decisions = _exclude(decisions, repairs.exclusion_weight)
+    return {decision.index: decision for decision in decisions}
+
+
+def _scout_all(
+    view: View,
+    usable: Sequence[int],
+    freedom: Freedom,
+    settings: LabellerSettings,
+    repairs: RepairSettings,
+) -> list[_Scouted]:
+    """Hypotheses on every prompt, near to far: what the likeliest box explains is not offered again."""
     claimed = np.zeros(len(view.points_cam), dtype=np.bool_)
     scouted: list[_Scouted] = []
     for index in _near_to_far(view.frame, usable):
@@ -92,12 +130,7 @@ def decide(view: View, usable: Sequence[int], settings: LabellerSettings) -> dic
         scouted.append(found)
         if repairs.claim:
             claimed |= _explained(view, found.hypotheses[0])
-    if not scouted:
-        return {}
-    decisions = _fit_and_weigh(view, scouted, freedom, settings, repairs)
-    if repairs.exclusion_weight > 0:
-        decisions = _exclude(decisions, repairs.exclusion_weight)
-    return {decision.index: decision for decision in decisions}
+    return scouted
 
 
 def _near_to_far(frame: Frame, usable: Sequence[int]) -> list[int]:
@@ -115,7 +148,7 @@ def _scout(
 ) -> _Scouted | None:
     """Hypotheses on one prompt from the points that no nearer object has claimed."""
     prior = settings.sizes[view.frame.prompts[index].category]
-    size = size_pull(prior, fixed=repairs.size == "fixed")
+    size = size_pull(prior)
     height_m = float(size.lwh_m[2])
     region = region_of(view, index, claimed, height_m + _ABOVE_M)
     if len(region.inside) < settings.points.min_points:
@@ -137,56 +170,20 @@ def _scout(
     return _Scouted(index, region, size, hypotheses, target)
 
 
-def size_pull(prior: SizePrior, *, fixed: bool) -> SizePull:
-    """Where sizes are pulled to: the class's typical size, or its frozen one where sizes are fixed."""
-    typical = prior if fixed or not prior.templates else prior.templates[0]
+def size_pull(prior: SizePrior) -> SizePull:
+    """Where sizes are pulled to: the class's typical size, its frozen one where it names none."""
+    typical = prior.templates[0] if prior.templates else prior
     lwh = np.array([typical.length_m, typical.width_m, typical.height_m])
     return SizePull(lwh, lwh * np.array(prior.spread))
 
 
-def _fit_and_weigh(
-    view: View,
-    scouted: Sequence[_Scouted],
-    freedom: Freedom,
-    settings: LabellerSettings,
-    repairs: RepairSettings,
-) -> list[Decision]:
-    """The paper's fit of every hypothesis of the frame, the polish of all, and the evidence on each."""
-    fits = _fit(view, scouted, settings)
-    fitted = np.concatenate([item.hypotheses for item in scouted])
-    target = Target.joined([item.target for item in scouted])
-    fitted[:, LENGTH : HEIGHT + 1] = target.lwh_m
-    fitted[:, BOTTOM] = target.bottom_y
-    for row, fit in enumerate(fits):
-        if fit is not None:
-            fitted[row, [X, Z]] = fit.center_xz
-    if repairs.polish:
-        fitted = polish(fitted, target, freedom, _POLISH_STEPS)
-    decisions = []
-    start = 0
-    for item in scouted:
-        rows = slice(start, start + len(item.hypotheses))
-        start = rows.stop
-        evidence = weigh(view, item.region, fitted[rows], item.size, use_edges=repairs.edges)
-        losses = tuple(None if fit is None else fit.losses for fit in fits[rows])
-        energy = evidence.energy(EVIDENCE_WEIGHTS)
-        if repairs.choose == "loss":
-            energy = np.array([np.inf if loss is None else loss.total for loss in losses])
-        chosen = int(energy.argmin())
-        decisions.append(
-            Decision(item.index, item.region, item.size, fitted[rows], energy, evidence, losses, chosen)
-        )
-    return decisions
-
-
-def _fit(view: View, scouted: Sequence[_Scouted], settings: LabellerSettings) -> list[FitSolution | None]:
-    """The minimum of the paper's losses near each hypothesis, size and heading frozen, on the points there.
-
-    None where fewer than three points are near.
-    """
+def _fit_problems(
+    view: View, scouted: Sequence[_Scouted], settings: LabellerSettings
+) -> list[FitProblem | None]:
+    """The paper's fit near each hypothesis, size and heading frozen, on the points there; None without."""
     from_lidar = settings.loss.ray_origin == "lidar"
     origin_cam = view.sensor_cam if from_lidar else view.frame.calibration.camera_center_cam
-    count = settings.points.sample_count
+    most = settings.points.sample_count
     problems: list[FitProblem | None] = []
     for item in scouted:
         length_m, width_m, _ = item.size.lwh_m
@@ -195,7 +192,7 @@ def _fit(view: View, scouted: Sequence[_Scouted], settings: LabellerSettings) ->
         for hypothesis, is_near in zip(item.hypotheses, near, strict=True):
             points_xz = lower_half(view, item.region.inside[is_near])
             problem = FitProblem(
-                points_xz=points_xz[:: -(-len(points_xz) // count) or 1],
+                points_xz=points_xz[:: -(-len(points_xz) // most) or 1],
                 length_m=float(length_m),
                 width_m=float(width_m),
                 rotation_y=float(hypothesis[YAW]),
@@ -203,8 +200,54 @@ def _fit(view: View, scouted: Sequence[_Scouted], settings: LabellerSettings) ->
                 start_xz=hypothesis[[X, Z]],
             )
             problems.append(problem if len(points_xz) >= _FIT_POINTS else None)
-    solved = iter(fit_boxes([p for p in problems if p is not None], settings.fit, settings.loss, count))
-    return [None if problem is None else next(solved) for problem in problems]
+    return problems
+
+
+def _place(scouted: Sequence[_Scouted], solutions: Sequence[FitSolution | None]) -> Floats:
+    """(B, 7) all hypotheses of the frame at the minima of their fits, on the ground, of frozen size."""
+    target = Target.joined([item.target for item in scouted])
+    boxes = np.concatenate([item.hypotheses for item in scouted])
+    boxes[:, LENGTH : HEIGHT + 1] = target.lwh_m
+    boxes[:, BOTTOM] = target.bottom_y
+    for row, solution in enumerate(solutions):
+        if solution is not None:
+            boxes[row, [X, Z]] = solution.center_xz
+    return boxes
+
+
+def _weigh_all(
+    view: View,
+    scouted: Sequence[_Scouted],
+    boxes: Floats,
+    solutions: Sequence[FitSolution | None],
+    used: Sequence[int],
+    repairs: RepairSettings,
+) -> list[Decision]:
+    """The evidence on every hypothesis, and the likeliest of each prompt."""
+    decisions = []
+    start = 0
+    for item in scouted:
+        rows = slice(start, start + len(item.hypotheses))
+        start = rows.stop
+        evidence = weigh(view, item.region, boxes[rows], item.size, use_edges=repairs.edges)
+        losses = tuple(None if fit is None else fit.losses for fit in solutions[rows])
+        energy = evidence.energy(EVIDENCE_WEIGHTS)
+        if repairs.choose == "loss":
+            energy = np.array([np.inf if loss is None else loss.total for loss in losses])
+        decisions.append(
+            Decision(
+                index=item.index,
+                region=item.region,
+                size=item.size,
+                parameters=boxes[rows],
+                energy=energy,
+                evidence=evidence,
+                losses=losses,
+                used=tuple(used[rows]),
+                chosen=int(energy.argmin()),
+            )
+        )
+    return decisions
 
 
 def _explained(view: View, box: Floats) -> NDArray[np.bool_]:

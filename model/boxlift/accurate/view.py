@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from boxlift.camera import Floats
 from boxlift.consistency import cut_edges
 from boxlift.frame import Frame
-from boxlift.ground import Ground
+from boxlift.ground import Ground, find_ground
 from boxlift.seeds import seed_of
+from boxlift.settings import GroundSettings
 
 # Points this share of the image's size beyond its border still count for an object that the border cuts.
 _BEYOND_BORDER = 0.3
@@ -36,16 +37,21 @@ class View:
     above_m: Floats
 
     @classmethod
-    def of(cls, frame: Frame, ground: Ground) -> View:
-        """The points before the camera, in the image or beyond its border by no more than matters."""
+    def of(cls, frame: Frame, settings: GroundSettings) -> View:
+        """The points before the camera, in the image or beyond its border by no more than matters.
+
+        The ground is fitted to those in the image, so that a sweep cropped to the view labels alike.
+        """
         points_cam = frame.calibration.velo_to_cam(frame.points_velo)
         points_cam = points_cam[points_cam[:, 2] > 0.5]
         pixels, depth_m = frame.calibration.project(points_cam)
         size = np.array(frame.image_size_px)
         margin = (_BEYOND_BORDER + 0.1) * size
         near = (depth_m > 0) & ((pixels > -margin) & (pixels < size + margin)).all(axis=1)
-        points_cam = points_cam[near]
-        return cls(frame, ground, points_cam, pixels[near], ground.height_above(points_cam))
+        points_cam, pixels = points_cam[near], pixels[near]
+        in_image = ((pixels >= 0) & (pixels < size)).all(axis=1)
+        ground = find_ground(points_cam[in_image], frame.name, settings)
+        return cls(frame, ground, points_cam, pixels, ground.height_above(points_cam))
 
     @property
     def sensor_cam(self) -> Floats:

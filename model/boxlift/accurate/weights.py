@@ -19,3 +19,9 @@ EVIDENCE_WEIGHTS = {
     "count": -0.5,
     "misfit": 4.0,
 }
+
+# From benchmarks/calibration.py, in the order of probability.FEATURES.
+PROBABILITY_WEIGHTS = {
+    0.5: (0.0,) * 11,
+    0.7: (0.0,) * 11,
+}

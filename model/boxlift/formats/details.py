@@ -65,7 +65,7 @@ class RejectedDetails(_Details):
 
     reason: str
     box: BoxDetails
-    losses: LossDetails
+    losses: LossDetails | None = Field(description="None: too few points for a fit of its own.")
 
 
 class ObjectDetails(_Details):
@@ -82,6 +82,11 @@ class ObjectDetails(_Details):
     result: str = Field(description="FITTED, or the name of the reason why there is no box.")
     sentence: str = Field(description="The result as a sentence.")
     score: float = Field(description="Confidence in the 3D box, 0 without one.")
+    iou_probability: tuple[float, float] | None = Field(
+        None,
+        description="Calibrated probabilities that the 3D IoU with the truth exceeds 0.5 and 0.7; only with "
+        "the preset accurate.",
+    )
     flags: tuple[str, ...] = Field(description="What a reviewer should know about the box.")
     box: BoxDetails | None
     kitti: KittiDetails | None
@@ -160,6 +165,7 @@ def object_details_of(label: ObjectLabel) -> ObjectDetails:
         result=label.result.name,
         sentence=label.sentence,
         score=_rounded(label.score),
+        iou_probability=_probabilities(label),
         flags=label.flags,
         box=None if label.box is None else _box(label.box),
         kitti=None if written is None else _kitti(written),
@@ -211,6 +217,13 @@ def _losses(losses: LossTerms) -> LossDetails:
     )
 
 
+def _probabilities(label: ObjectLabel) -> tuple[float, float] | None:
+    if label.iou_probability is None:
+        return None
+    loose, strict = label.iou_probability
+    return _rounded(loose), _rounded(strict)
+
+
 def _points(points: PointCounts) -> PointDetails:
     return PointDetails(
         in_prompt=points.in_prompt,
@@ -222,5 +235,7 @@ def _points(points: PointCounts) -> PointDetails:
 
 def _rejected(hypothesis: Hypothesis) -> RejectedDetails:
     return RejectedDetails(
-        reason=hypothesis.reason, box=_box(hypothesis.box), losses=_losses(hypothesis.losses)
+        reason=hypothesis.reason,
+        box=_box(hypothesis.box),
+        losses=None if hypothesis.losses is None else _losses(hypothesis.losses),
     )
