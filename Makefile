@@ -39,6 +39,7 @@ serve: $(READY)
 bench: $(READY)
 	$(BIN)/python benchmarks/fit.py
 	$(BIN)/python benchmarks/ablation.py
+	$(BIN)/python benchmarks/accurate.py
 	$(BIN)/python benchmarks/presets.py
 	$(BIN)/python benchmarks/rig_check.py
 	$(BIN)/python benchmarks/evaluator.py

@@ -1,16 +1,18 @@
-"""What each part of the paper's method is worth to the fit: recall of cars with parts of it switched off.
+"""What each part of a method is worth: recall of cars with parts of it switched off.
 
-    python benchmarks/ablation.py [FOLDER] [--part paper|descent] [--generated 24]
+    python benchmarks/ablation.py [FOLDER] [--part paper|descent|accurate] [--generated 24]
 
 FOLDER is a dataset with label_2 (by default ../shared/kitti/object where it exists); prompts are the 2D boxes
 of its labels. Cells are recall in %, BEV/3D, at an IoU of .5 and then of .7.
 
-The rows of the paper's ablations (see weakm3d_tables.py) with two fits:
+The rows of the paper's ablations (see weakm3d_tables.py) with two fits, and our own:
 
 - Part "paper": the labeller's search; where heading and size are free (no D), the lowest of eight descents
   whose headings are evenly turned from a random one, as then none is read from the points.
 - Part "descent": one descent, as training a network is. It starts at the mean of the points with the frozen
   size and the heading read from the points, also where these are free.
+
+- Part "accurate": the preset `accurate` with each of its repairs switched off alone.
 
 The centre loss stays in every row, as in the paper. Its numbers are the average precision of a network, ours
 the recall of boxes that minimise the same losses: only the order of the rows can be compared.
@@ -31,18 +33,16 @@ import torch
 from boxlift import Frame, FrameLabels, InputError, LabellerSettings, preset
 from boxlift.camera import Floats
 from boxlift.datasets import load_objects, open_source
-from boxlift.datasets.generated import generate
+from boxlift.datasets.generated import RIGS, generate
 from boxlift.evaluation import DIFFICULTIES, LabelTable, judge_pseudo_labels
 from boxlift.faithful import fit_problems
-from boxlift.fit import FitProblem
 from boxlift.formats.kitti_label import KittiObject, objects_of, prompts_of
 from boxlift.labeller import Labeller
 from freed_fit import Freed, freed_labels
-from presets import drives_of
+from presets import DEFAULT_FOLDER, drives_of
 from row_order import kendall_tau, print_effects, print_pairs
 from weakm3d_tables import DETAILED, SIZE_LEARNED
 
-_DEFAULT_FOLDER = Path(__file__).resolve().parents[2] / "shared" / "kitti" / "object"
 UNREAD = Freed(size=True, heading=True, heading_read=False)
 
 
@@ -111,16 +111,45 @@ def descent_rows() -> list[Row]:
     ]
 
 
+def accurate_rows() -> list[Row]:
+    """The preset as it is, then each repair switched off alone."""
+    off: dict[str, dict[str, object]] = {
+        "points not claimed": {"claim": False},
+        "one cluster scale": {"cluster_scales": [1.0]},
+        "largest cluster only": {"max_clusters": 1},
+        "no closeness": {"closeness": False},
+        "no perpendicular": {"perpendicular": False},
+        "no placement by prompt": {"prompt_placement": False},
+        "2 fits": {"fits": 2},
+        "12 fits": {"fits": 12},
+        "chosen by loss": {"choose": "loss"},
+        "edges not compared": {"edges": False},
+        "boxes may overlap": {"exclusion_weight": 0.0},
+        "no polish": {"polish": False},
+        "size fixed": {"size": "fixed"},
+    }
+    return [
+        Row("all repairs", {}),
+        Row("ground plane", {"ground": {"shape": "plane"}}),
+        *(Row(name, {"repairs": options}) for name, options in off.items()),
+    ]
+
+
 # Part -> its preset, and rows of options laid over it. Rows without the paper's numbers are only printed.
-PARTS = {"paper": ("paper", paper_rows()), "descent": ("paper", descent_rows())}
+PARTS = {
+    "paper": ("paper", paper_rows()),
+    "descent": ("paper", descent_rows()),
+    "accurate": ("accurate", accurate_rows()),
+}
 
 
 def recall_of(
     settings: LabellerSettings, data: Dataset, freed: Freed | None = None
 ) -> dict[str, list[Recall]]:
     """Group -> recall of easy, moderate and hard cars."""
-    labels, problems = _labels(settings, data)
+    labels = _labels(settings.model_dump_json(), data)
     if freed:
+        problems = [fit_problems(frame, settings) for frame in data.frames]
         labels = freed_labels(data.frames, labels, problems, settings, freed, "Car")
     boxes = {label.frame_name: objects_of(label) for label in labels}
     rows = {}
@@ -143,11 +172,10 @@ def recall_of(
 
 
 @cache
-def _labels(settings: LabellerSettings, data: Dataset) -> tuple[list[FrameLabels], list[list[FitProblem]]]:
-    """The labels of every frame, and what was handed to the fit."""
-    labeller = Labeller(settings)
-    labels = [labeller.label(frame) for frame in data.frames]
-    return labels, [fit_problems(frame, labeller.settings) for frame in data.frames]
+def _labels(settings_json: str, data: Dataset) -> list[FrameLabels]:
+    """The labels of every frame; settings as JSON, as they cannot be hashed."""
+    labeller = Labeller(LabellerSettings.model_validate_json(settings_json))
+    return [labeller.label(frame) for frame in data.frames]
 
 
 def kitti(folder: Path) -> Dataset:
@@ -165,13 +193,13 @@ def kitti(folder: Path) -> Dataset:
     return Dataset(f"{len(frames)} frames of {folder}", frames, truths, groups)
 
 
-def generated(count: int) -> Dataset:
+def generated(count: int, rig: str = "kitti", first_seed: int = 0) -> Dataset:
     """Generated frames, and both halves of them."""
-    made = [generate(seed) for seed in range(count)]
+    made = [generate(first_seed + number, RIGS[rig]) for number in range(count)]
     names = [item.frame.name for item in made]
     groups = {"all frames": names, "even seeds": names[::2], "odd seeds": names[1::2]}
     truths = {item.frame.name: item.truth for item in made}
-    return Dataset(f"{count} generated frames", [item.frame for item in made], truths, groups)
+    return Dataset(f"{count} generated frames, rig {rig}", [item.frame for item in made], truths, groups)
 
 
 Measured = Mapping[str, Mapping[str, Sequence[Recall]]]
@@ -181,14 +209,15 @@ def print_table(rows: Sequence[Row], measured: Measured, group: str) -> None:
     """A line per row: recall of the three difficulties, and the paper's AP."""
     cars = [recall.cars for recall in measured[rows[0].name][group]]
     heads = [f"{d.name}, {n} cars".ljust(17) for d, n in zip(DIFFICULTIES, cars, strict=True)]
-    print(f"\n{group:28} {' '.join(heads)} the paper's AP at .5")
+    paper_head = "the paper's AP at .5" if any(row.paper for row in rows) else ""
+    print(f"\n{group:28} {' '.join(heads)} {paper_head}".rstrip())
     for row in rows:
         cells = [
             "{:3.0f}/{:3.0f} {:3.0f}/{:3.0f}  ".format(*(100 * value for value in recall.values))
             for recall in measured[row.name][group]
         ]
         paper = [f"{b:4.1f}/{v:4.1f}" for b, v in zip(row.paper[:3], row.paper[3:], strict=True)]
-        print(f"{row.name:28} {' '.join(cells)} {'  '.join(paper)}")
+        print(f"{row.name:28} {' '.join(cells)} {'  '.join(paper)}".rstrip())
 
 
 def print_agreement(rows: Sequence[Row], measured: Measured, groups: Sequence[str]) -> None:
@@ -228,7 +257,7 @@ def main() -> None:
     parser.add_argument("--generated", type=int, default=24, help="generated frames; 0: none")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    folder = arguments.folder or (_DEFAULT_FOLDER if _DEFAULT_FOLDER.is_dir() else None)
+    folder = arguments.folder or (DEFAULT_FOLDER if DEFAULT_FOLDER.is_dir() else None)
 
     datasets = [kitti(folder)] if folder else []
     if arguments.generated:

@@ -26,7 +26,7 @@ from boxlift_client.engines.local import LocalEngine
 from boxlift_client.job import LabelJob
 from boxlift_client.runner import label_dataset
 
-_DEFAULT_FOLDER = Path(__file__).resolve().parents[2] / "shared" / "kitti" / "object"
+DEFAULT_FOLDER = Path(__file__).resolve().parents[2] / "shared" / "kitti" / "object"
 _COLUMNS = ("bev@l", "bev@s", " 3d@l", " 3d@s")
 
 
@@ -58,7 +58,7 @@ def main() -> None:
     parser.add_argument("--generated", type=int, default=40, help="generated frames per rig")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    folder = arguments.folder or (_DEFAULT_FOLDER if _DEFAULT_FOLDER.is_dir() else None)
+    folder = arguments.folder or (DEFAULT_FOLDER if DEFAULT_FOLDER.is_dir() else None)
 
     header = "  ".join(_COLUMNS)
     print(f"{'recall':34} {'class':10} {'group':9} {'truths':>5}  {header}")
@@ -87,17 +87,24 @@ def main() -> None:
                     )
 
 
-def drives_of(folder: Path, frames: Sequence[str]) -> dict[str, list[str]]:
-    """The frames of the largest drive and of all others, where frames.csv tells drives; else nothing."""
+def drive_of_frames(folder: Path) -> dict[str, str]:
+    """Frame -> drive, where frames.csv tells drives; else nothing."""
     table = folder / "frames.csv"
     if not table.is_file():
         return {}
     with table.open(newline="") as lines:
-        drive_of = {row["frame"]: row["raw_drive"] for row in csv.DictReader(lines)}
+        return {row["frame"]: row["raw_drive"].removesuffix("_sync") for row in csv.DictReader(lines)}
+
+
+def drives_of(folder: Path, frames: Sequence[str]) -> dict[str, list[str]]:
+    """The frames of the largest drive and of all others, where frames.csv tells drives; else nothing."""
+    drive_of = drive_of_frames(folder)
+    if not drive_of:
+        return {}
     drives = [drive_of[name] for name in frames]
     largest = max(sorted(set(drives)), key=drives.count)
     return {
-        largest.removesuffix("_sync"): [n for n in frames if drive_of[n] == largest],
+        largest: [n for n in frames if drive_of[n] == largest],
         "all other drives": [n for n in frames if drive_of[n] != largest],
     }
 
