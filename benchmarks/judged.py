@@ -12,7 +12,7 @@ from ablation import Dataset
 from boxlift import Boxes3D, Frame, LabellerSettings, ObjectLabel
 from boxlift.camera import Floats
 from boxlift.evaluation import CLASS_RULES, DIFFICULTIES, Difficulty, LabelTable
-from boxlift.formats.kitti_label import KittiObject, boxes3d_of
+from boxlift.formats.kitti_label import KittiObject, boxes3d_of, object_of
 from boxlift.labeller import Labeller
 from boxlift.overlap import bev_iou, iou_3d
 
@@ -63,7 +63,8 @@ def judge(settings: LabellerSettings, data: Dataset) -> Judged:
     labels = [label for frame in data.frames for label in labeller.label(frame).objects]
     table = LabelTable.from_frames(objects)
     fitted = np.array([label.box is not None for label in labels])
-    boxes = joined([label.box for label in labels if label.box is not None])
+    # As they are written to a file, with KITTI's two decimals.
+    boxes = boxes3d_of([written for label in labels if (written := object_of(label)) is not None])
     bev, volume = np.zeros(len(labels)), np.zeros(len(labels))
     bev[fitted], volume[fitted] = (iou(table.boxes[fitted], boxes) for iou in (bev_iou, iou_3d))
     return Judged(
@@ -94,15 +95,6 @@ def print_recall(
         if counted.any():
             cells = "  ".join(f"{value:5.3f}" for value in judged.recall(category, counted))
             print(f"{title:36} {category:10} {difficulty.name:9} {counted.sum():6d}  {cells}")
-
-
-def joined(boxes: Sequence[Boxes3D]) -> Boxes3D:
-    """Boxes of length 1 as one."""
-    if not boxes:
-        return Boxes3D.empty()
-    columns = [(box.length_m, box.width_m, box.height_m, box.rotation_y) for box in boxes]
-    center = np.concatenate([box.center_cam for box in boxes])
-    return Boxes3D(center, *(np.concatenate(column) for column in zip(*columns, strict=True)))
 
 
 def points_in(frame: Frame, boxes: Boxes3D) -> NDArray[np.intp]:
