@@ -260,9 +260,9 @@ RELEASE = LabellerSettings(
 
 ACCURATE = LabellerSettings(
     preset="accurate",
-    ground=GroundSettings(shape="surface", iterations=100),
+    ground=GroundSettings(shape="surface", iterations=50),
     points=ObjectPointSettings(min_points=2, sample_count=60),
-    fit=FitSettings(grid_steps=4, reach_m=1.0, beam_width=8, levels=3),
+    fit=FitSettings(grid_steps=3, reach_m=1.0, beam_width=6, levels=3),
     repairs=RepairSettings(),
 )
 
