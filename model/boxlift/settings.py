@@ -267,6 +267,7 @@ ACCURATE = LabellerSettings(
 )
 
 PRESETS = {"accurate": ACCURATE, "paper": PAPER, "release": RELEASE}
+DEFAULT_PRESET = "accurate"
 
 
 def preset(name: str) -> LabellerSettings:
