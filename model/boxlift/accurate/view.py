@@ -81,14 +81,16 @@ class Region:
     box_px: (4,) the prompt cut to the image. cut: (4,) edges x1, y1, x2, y2 that the border may cut.
     may_hide: whether the border or a nearer prompt may hide a part of the object.
     inside: (M,) a sample of the object-high points in the prompt, those claimed by nearer objects left
-    out; a prompt that the border cuts goes on beyond it. around: (K,) likewise, the surroundings with it.
-    around_inside: (K,) which of those lie in the prompt. found: points in the prompt before sampling.
+    out; a prompt that the border cuts goes on beyond it. inside_image: (M,) which of those the camera saw.
+    around: (K,) likewise, the surroundings with it. around_inside: (K,) which of those lie in the prompt.
+    found: points in the prompt before sampling.
     """
 
     box_px: Floats
     cut: NDArray[np.bool_]
     may_hide: bool
     inside: Indices
+    inside_image: NDArray[np.bool_]
     around: Indices
     around_inside: NDArray[np.bool_]
     in_prompt: int
@@ -119,12 +121,15 @@ def region_of(view: View, index: int, claimed: NDArray[np.bool_], height_m: floa
     inside, around = np.flatnonzero(in_box & objects), np.flatnonzero(near & objects)
     rng = np.random.default_rng(seed_of(frame.name, index))
     found = len(inside)
-    around = _sample(around, _MAX_AROUND, rng)
+    inside, around = _sample(inside, _MAX_INSIDE, rng), _sample(around, _MAX_AROUND, rng)
+    columns, rows = view.pixels[inside].T
+    inside_image = (columns >= 0) & (columns < size[0]) & (rows >= 0) & (rows < size[1])
     return Region(
         box_px=box_px,
         cut=cut,
         may_hide=bool(cut.any()) or _nearer_prompt_overlaps(frame, index),
-        inside=_sample(inside, _MAX_INSIDE, rng),
+        inside=inside,
+        inside_image=inside_image,
         around=around,
         around_inside=in_box[around],
         in_prompt=int(in_box.sum()),
