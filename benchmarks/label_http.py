@@ -31,7 +31,7 @@ from boxlift.settings import preset
 from boxlift_client.label_request import Form, form_of_frame
 from boxlift_client.service_process import running_service
 
-_DEFAULT_FOLDER = Path(__file__).resolve().parents[2] / "shared" / "kitti" / "object"
+DEFAULT_FOLDER = Path(__file__).resolve().parents[2] / "shared" / "kitti" / "object"
 
 
 def frames_of(folder: Path | None, prompts: str, object_count: int) -> Iterator[Frame]:
@@ -84,7 +84,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=5)
     parser.add_argument("--repeats", type=int, default=30)
     arguments = parser.parse_args()
-    folder = arguments.folder or (_DEFAULT_FOLDER if _DEFAULT_FOLDER.is_dir() else None)
+    folder = arguments.folder or (DEFAULT_FOLDER if DEFAULT_FOLDER.is_dir() else None)
     settings = preset(arguments.preset)
     labeller = Labeller(settings)
     torch.set_num_threads(1)  # as the service's workers do

@@ -17,7 +17,7 @@ from typing import Any, Self
 
 from boxlift.errors import MissingExtraError
 from boxlift.frame import Frame, Prompt
-from boxlift.settings import PAPER, LabellerSettings
+from boxlift.settings import ACCURATE, LabellerSettings
 from boxlift_client.errors import (
     ServiceError,
     ServiceFailedError,
@@ -52,7 +52,7 @@ class Client:
         except httpx.InvalidURL as error:
             raise ServiceUnreachableError(base_url, f"this is no URL ({error}).") from None
 
-    def label(self, frame: Frame, settings: LabellerSettings = PAPER) -> LabelAnswer:
+    def label(self, frame: Frame, settings: LabellerSettings = ACCURATE) -> LabelAnswer:
         """Label a frame's prompts with exactly these settings: the labels of Labeller(settings), rounded.
 
         Raises ServiceError: RequestRefusedError where the frame is at fault, and see its tree.

@@ -12,7 +12,7 @@ from boxlift.datasets import FrameSource, load_prompts, open_source
 from boxlift.errors import BoxliftError, MissingExtraError, NoLidarError
 from boxlift.formats.details import FrameDetails, details_of
 from boxlift.frame import Frame, FrameLabels, Result
-from boxlift.settings import PAPER, LabellerSettings
+from boxlift.settings import ACCURATE, LabellerSettings
 from boxlift_client.label_files import write_label_files
 
 
@@ -29,7 +29,7 @@ class LabelJob:
     out: Path
     prompts: str
     masks: Path | None = None
-    settings: LabellerSettings = PAPER
+    settings: LabellerSettings = ACCURATE
 
 
 class Outcome(StrEnum):

@@ -55,7 +55,7 @@ class ObjectPointSettings(_Settings):
         5, ge=1, le=1000, description="DBSCAN core point threshold (ours; release: 10)."
     )
     min_points: int = Field(
-        5, ge=3, le=1000, description="Objects with fewer points are refused (ours; release: 10)."
+        5, ge=1, le=1000, description="Objects with fewer points are refused (ours; release: 10)."
     )
     vertical_filter: Literal["median", "mid_range", "none"] = Field(
         "median",
@@ -260,13 +260,14 @@ RELEASE = LabellerSettings(
 
 ACCURATE = LabellerSettings(
     preset="accurate",
-    ground=GroundSettings(shape="surface", iterations=100),
-    points=ObjectPointSettings(min_points=3),
-    fit=FitSettings(grid_steps=5, reach_m=1.0, beam_width=12, levels=3),
+    ground=GroundSettings(shape="surface", iterations=50),
+    points=ObjectPointSettings(min_points=2, sample_count=60),
+    fit=FitSettings(grid_steps=3, reach_m=1.0, beam_width=6, levels=3),
     repairs=RepairSettings(),
 )
 
 PRESETS = {"accurate": ACCURATE, "paper": PAPER, "release": RELEASE}
+DEFAULT_PRESET = "accurate"
 
 
 def preset(name: str) -> LabellerSettings:

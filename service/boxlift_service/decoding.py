@@ -16,11 +16,10 @@ from boxlift.formats.json_text import parse_json
 from boxlift.formats.point_cloud import decode_points
 from boxlift.formats.prompts import parse_prompts
 from boxlift.frame import Frame
-from boxlift.settings import LabellerSettings
+from boxlift.settings import DEFAULT_PRESET, LabellerSettings
 from boxlift_service.form import Field, Part
 from boxlift_service.settings import ServiceSettings
 
-DEFAULT_PRESET = "paper"
 DEFAULT_NAME = "frame"
 _LONGEST_NAME = 200
 

@@ -12,7 +12,7 @@ from boxlift.formats.details import (
     ObjectDetails,
     PointDetails,
 )
-from boxlift.settings import PAPER, LabellerSettings
+from boxlift.settings import ACCURATE, LabellerSettings
 from boxlift_service import problems, timing
 from boxlift_service.answers import API_VERSION, LabelAnswer
 from boxlift_service.problems import Kind, ProblemDetails
@@ -26,7 +26,7 @@ R0_rect: 1 0 0 0 1 0 0 0 1
 Tr_velo_to_cam: 0 -1 0 0 0 0 -1 -0.08 1 0 0 -0.27
 """
 _PROMPTS_EXAMPLE = '[{"class": "Car", "box": [587.0, 173.3, 614.1, 200.1], "score": 0.97}]'
-_OPTIONS_EXAMPLE = '{"preset": "paper", "fit": {"method": "adam"}}'
+_OPTIONS_EXAMPLE = '{"preset": "accurate", "repairs": {"size": "fixed"}}'
 _IMAGE_ENCODING = "image/png, image/jpeg"
 
 LABEL_TEXT_EXAMPLE = (
@@ -213,8 +213,8 @@ def _label_answer_example() -> dict[str, Any]:
         objects=(fitted, unusable),
         warnings=(),
         dropped_points=0,
-        preset=PAPER.preset,
-        settings_fingerprint=PAPER.fingerprint(),
+        preset=ACCURATE.preset,
+        settings_fingerprint=ACCURATE.fingerprint(),
         model_digest=None,
         api_version=API_VERSION,
         boxlift_version=boxlift.__version__,

@@ -132,7 +132,7 @@ def test_priors_of_ones_own_travel_with_the_job(
     priors.write_text('[Taxi]\nheight_m = 1.5\nwidth_m = 1.7\nlength_m = 4.5\nsource = "measured"\n')
     ran = boxlift(
         "label", dataset, "--out", tmp_path / "out", "--prompts", prompts, "--priors", priors,
-        "--engine", "http", "--url", service_url,
+        "--size", "fixed", "--engine", "http", "--url", service_url,
     )  # fmt: skip
     assert (ran.status, ran.err) == (0, "")
     lines = "".join(path.read_text() for path in (tmp_path / "out" / "data").iterdir()).splitlines()

@@ -67,7 +67,7 @@ def test_files_as_they_are(dataset: Path, service_url: str) -> None:
         with pytest.raises(InputError, match=r"points: .*nowhere\.bin.* cannot be read"):
             client.label_files(Path("nowhere.bin"), b"", prompts)
     assert by_path.frame == by_bytes.frame == "000000"
-    assert (by_path.preset, by_bytes.preset) == ("paper", "release")
+    assert (by_path.preset, by_bytes.preset) == ("accurate", "release")
     assert len(by_path.objects) == len(by_bytes.objects) == len(prompts)
     assert by_path.objects != by_bytes.objects
 

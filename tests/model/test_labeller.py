@@ -37,7 +37,7 @@ def test_labels_cars_of_the_frozen_size(name: str, cars: list[Boxes3D], ground_c
 
 
 def test_the_perpendicular_heading_is_kept_as_rejected() -> None:
-    (label,) = Labeller().label(frame_of(CARS[:1])).objects
+    (label,) = Labeller(PAPER).label(frame_of(CARS[:1])).objects
     (rejected,) = label.rejected
     assert label.box is not None
     turn = abs(rejected.box.rotation_y[0] - label.box.rotation_y[0])
@@ -108,9 +108,13 @@ def test_a_wrong_rig_is_a_warning_and_no_error() -> None:
 
 
 def test_times_name_the_stages_in_order() -> None:
+    frame = frame_of(CARS[:1])
     times = StageTimes()
-    Labeller().label(frame_of(CARS[:1]), times)
+    Labeller(PAPER).label(frame, times)
     assert list(times.seconds) == ["rig", "ground", "points", "heading", "fit", "consistency", "confidence"]
+    times = StageTimes()
+    Labeller().label(frame, times)
+    assert list(times.seconds) == ["rig", "ground", "scout", "fit", "polish", "evidence", "confidence"]
 
 
 def test_real_frames_reach_the_faithful_methods_recall(kitti_object_root: Path) -> None:

@@ -80,7 +80,7 @@ def test_every_built_in_size_is_plausible_and_has_a_source() -> None:
             assert len(size.source) > 20
             assert size.width_m <= size.length_m
     assert [template.name for template in SIZE_PRIORS["Car"].templates] == [
-        "supermini", "hatchback", "saloon", "estate", "SUV",
+        "typical", "supermini", "hatchback", "saloon", "estate", "SUV",
     ]  # fmt: skip
 
 

@@ -59,8 +59,8 @@ def test_json_answer_has_the_box_and_how_it_was_made(service: RunningService, fr
     assert car.prompt_score == 0.9
     assert answer.frame == "small"
     assert answer.dropped_points == 0
-    assert answer.preset == "paper"
-    assert answer.settings_fingerprint == preset("paper").fingerprint()
+    assert answer.preset == "accurate"
+    assert answer.settings_fingerprint == preset("accurate").fingerprint()
     assert answer.model_digest is None
     assert answer.boxlift_version == boxlift.__version__
     assert json.loads(response.content)["objects"][0]["class"] == "Car"
@@ -109,14 +109,15 @@ def test_options_choose_preset_and_settings(service: RunningService, frame: Smal
 
 def test_options_declare_a_class(service: RunningService, frame: SmallFrame) -> None:
     taxi = {"height_m": 1.5, "width_m": 1.7, "length_m": 4.5, "source": "Measured."}
+    fixed = {"repairs": {"size": "fixed"}}
     prompts = json.dumps([CAR | {"class": "Taxi"}]).encode()
     answer = service.label(
-        frame.fields(prompts=prompts, options=json.dumps({"sizes": {"Taxi": taxi}}).encode())
+        frame.fields(prompts=prompts, options=json.dumps({"sizes": {"Taxi": taxi}, **fixed}).encode())
     ).json()
     assert answer["objects"][0]["kitti"]["dimensions"] == [1.5, 1.7, 4.5]
     assert (
         answer["settings_fingerprint"]
-        == preset("paper").with_options({"sizes": {"Taxi": taxi}}).fingerprint()
+        == preset("accurate").with_options({"sizes": {"Taxi": taxi}, **fixed}).fingerprint()
     )
     del taxi["source"]
     refused = service.label(frame.fields(options=json.dumps({"sizes": {"Taxi": taxi}}).encode()))
@@ -127,7 +128,7 @@ def test_requests_start_from_the_services_own_classes(frame: SmallFrame) -> None
     tram, bus = (
         SizePrior(height_m=3, width_m=2.5, length_m=length, source="Data sheet.") for length in (30, 12)
     )
-    presets = {"paper": preset("paper").with_sizes({"Tram": tram})}
+    presets = {"accurate": preset("accurate").with_sizes({"Tram": tram})}
 
     def sizes(options: dict[str, object]) -> dict[str, SizePrior]:
         fields = frame.fields(options=json.dumps(options).encode())
@@ -183,10 +184,10 @@ def test_points_that_are_not_finite_are_dropped_and_counted(
         ({"class": "Car", "box": [1300, 10, 1400, 60]}, None, "BOX_OUTSIDE_IMAGE", "outside the image"),
         ({"class": "Car", "box": [-1e308, -1e308, 1e308, 1e308]}, None, "BAD_BOX", "absurd numbers"),
         ({"class": "Unicorn", "box": [540, 180, 660, 260]}, None, "UNKNOWN_CLASS", "Unicorn"),
-        ({"class": "Car", "box": [540, 180, 660, 260]}, 2, "TOO_FEW_POINTS", "(2, at least 5 are needed)"),
-        ({"class": "Car", "box": [0, 0, 5, 5]}, None, "TOO_FEW_POINTS", "(0, at least 5 are needed)"),
+        ({"class": "Car", "box": [540, 180, 660, 260]}, 1, "TOO_FEW_POINTS", "(1, at least 2 are needed)"),
+        ({"class": "Car", "box": [0, 0, 5, 5]}, None, "TOO_FEW_POINTS", "(0, at least 2 are needed)"),
     ],
-    ids=["zero size", "inside out", "outside", "huge", "unknown class", "2 points", "no points"],
+    ids=["zero size", "inside out", "outside", "huge", "unknown class", "1 point", "no points"],
 )
 def test_an_unusable_prompt_has_a_sentence_and_fails_no_other(
     service: RunningService,
@@ -232,8 +233,8 @@ def test_server_timing_tells_every_stage(service: RunningService, frame: SmallFr
     header = service.label(frame.fields()).headers["server-timing"]
     stages = dict(stage.split(";dur=") for stage in header.split(", "))
     assert list(stages) == [
-        "receive", "queue", "decode", "rig", "ground", "points", "heading", "fit", "consistency",
-        "confidence", "encode", "total",
+        "receive", "queue", "decode", "rig", "ground", "scout", "fit", "polish", "evidence", "confidence",
+        "encode", "total",
     ]  # fmt: skip
     durations = {name: float(duration) for name, duration in stages.items()}
     assert all(duration >= 0 for duration in durations.values())

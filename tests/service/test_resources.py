@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
-from boxlift.settings import PRESETS, LabellerSettings
+from boxlift.settings import PRESETS, LabellerSettings, RepairSettings
 from boxlift_service.answers import LabelAnswer
 from boxlift_service.app import create_app
 from boxlift_service.problems import ProblemDetails
@@ -25,7 +25,7 @@ def test_probes_of_a_ready_service(service: RunningService) -> None:
 def test_models_lists_the_presets(service: RunningService) -> None:
     answer = service.client.get("/models").json()
     assert answer["detector"] is None
-    assert answer["default_preset"] == "paper"
+    assert answer["default_preset"] == "accurate"
     assert [labeller["preset"] for labeller in answer["labellers"]] == list(PRESETS)
     for labeller in answer["labellers"]:
         settings = LabellerSettings.model_validate(labeller["settings"])
@@ -144,7 +144,7 @@ def test_openapi_examples_are_genuine(service: RunningService) -> None:
         parse_calibration(example)
     assert parse_prompts(fields["prompts"]["examples"][0])
     options = json.loads(fields["options"]["examples"][0])
-    assert PRESETS[options.pop("preset")].with_options(options).fit.method == "adam"
+    assert PRESETS[options.pop("preset")].with_options(options).repairs == RepairSettings(size="fixed")
     schema = fields["options"]["contentSchema"]["properties"]
     assert "grid_steps" in schema["fit"]["properties"]
     (size,) = schema["sizes"]["patternProperties"].values()

@@ -10,7 +10,7 @@ import typer
 
 from boxlift.errors import DatasetError, OptionsError
 from boxlift.formats.size_priors import read_size_priors
-from boxlift.settings import PRESETS, preset
+from boxlift.settings import DEFAULT_PRESET, PRESETS, LabellerSettings, preset
 from boxlift_client.cli.frames_file import read_frames
 
 if TYPE_CHECKING:
@@ -50,7 +50,14 @@ def label(
     ] = None,
     preset_name: Annotated[
         str, typer.Option("--preset", metavar="NAME", help=f"Settings of the labeller: {', '.join(PRESETS)}.")
-    ] = "paper",
+    ] = DEFAULT_PRESET,
+    size: Annotated[
+        Literal["refined", "fixed"] | None,
+        typer.Option(
+            help="Refine each box's size, or keep the frozen size of its class.  "
+            "[default: refined by accurate, fixed by paper and release]"
+        ),
+    ] = None,
     priors: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="TOML file with sizes per class, laid over the built-in ones."),
@@ -84,7 +91,7 @@ def label(
         raise OptionsError(
             "prompts", "no detector is installed;", "give --prompts label_2, det_2d or a folder."
         )
-    settings = preset(preset_name)
+    settings = _settings(preset_name, size)
     if priors is not None:
         settings = settings.with_sizes(read_size_priors(priors))
     job = LabelJob(source, out, prompts, None if masks is None else _find_masks(masks, source), settings)
@@ -100,6 +107,17 @@ def label(
     print(f"Labels are in {out / 'data'}, details in {out / 'details'}.")
     if not summary.complete:
         raise typer.Exit(1)
+
+
+def _settings(preset_name: str, size: str | None) -> LabellerSettings:
+    settings = preset(preset_name)
+    if size is None or (size == "fixed" and settings.repairs is None):
+        return settings
+    if settings.repairs is None:
+        raise OptionsError(
+            "size", f"{size!r} does not go with preset {preset_name!r};", "sizes are refined by accurate."
+        )
+    return settings.with_options({"repairs": {"size": size}})
 
 
 def _engine(name: str, url: str | None, workers: int | None) -> Engine:

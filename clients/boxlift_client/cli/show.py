@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from boxlift.formats.size_priors import read_size_priors
-from boxlift.settings import PRESETS, preset
+from boxlift.settings import DEFAULT_PRESET, PRESETS, preset
 
 
 def show(
@@ -37,7 +37,7 @@ def show(
         typer.Option(
             "--preset", metavar="NAME", help=f"Settings to label --prompts with: {', '.join(PRESETS)}."
         ),
-    ] = "paper",
+    ] = DEFAULT_PRESET,
     priors: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="TOML file with sizes per class to label --prompts with."),

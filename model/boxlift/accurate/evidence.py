@@ -155,6 +155,8 @@ def _rays(
     lowest = sensor_height + np.minimum(enter * rise, leave * rise)
     through = hit & (leave < 1) & (lowest < _BODY * parameters[:, HEIGHT, None])
     farther = np.hypot(along - from_along, across - from_across) > np.hypot(from_along, from_across)
+    # Beyond the image's border nobody says that there is only the object.
+    seen = region.inside_image if region.inside_image.any() else np.ones(len(points), dtype=np.bool_)
     shares = (is_on, hit & (enter > 1), through, missed & ~farther, missed & farther)
-    on, short, went_through, beside, behind = (share.mean(1) for share in shares)
+    on, short, went_through, beside, behind = (share[:, seen].mean(1) for share in shares)
     return on, short, went_through, beside, behind, is_on

@@ -39,6 +39,8 @@ _FIT_POINTS = 3
 # Points in the uppermost fifth are inside the outline seen from above (windows, roof).
 _OUTLINE_SHARE = 0.8
 _SCOUT_STEPS, _POLISH_STEPS = 3, 8
+# Scouts look at every second point.
+_SCOUT_STRIDE = 2
 # Boxes may overlap by this share of the smaller one's area: prompts and sizes are not exact.
 _MAY_OVERLAP = 0.05
 _EXCLUSION_ROUNDS = 4
@@ -160,8 +162,12 @@ def _scout(
     points_xz = view.points_cam[region.inside][:, [0, 2]]
     weights = point_weights(points_xz, settings.loss.density_radius_m)
     weights *= view.above_m[region.inside] < _OUTLINE_SHARE * height_m
-    target = Target.of_one(len(proposals), points_xz, weights, region.box_px, size, proposals[:, BOTTOM])
     if repairs.polish:
+        some = slice(None, None, _SCOUT_STRIDE)
+        worth = weights[some] * _SCOUT_STRIDE
+        target = Target.of_one(
+            len(proposals), points_xz[some], worth, region.box_px, size, proposals[:, BOTTOM]
+        )
         proposals = polish(proposals, target, freedom, _SCOUT_STEPS)
     energy = weigh(view, region, proposals, size, use_edges=repairs.edges).energy(EVIDENCE_WEIGHTS)
     hypotheses = distinct(proposals[np.argsort(energy, kind="stable")])[: repairs.fits]

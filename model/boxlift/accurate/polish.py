@@ -150,7 +150,7 @@ def polish(parameters: Floats, target: Target, freedom: Freedom, steps: int) -> 
     damping = np.full(len(current), 1e-2)
     cost, normal, gradient = _linearised(current, start_yaw, target, freedom)
     for _ in range(steps):
-        diagonal = np.einsum("bpp->bp", normal)
+        diagonal = normal.diagonal(axis1=1, axis2=2)
         damped = normal + (damping[:, None] * diagonal + 1e-6)[:, :, None] * np.eye(7)
         step = np.zeros_like(current)
         sub = damped[:, free][:, :, free]
@@ -177,17 +177,19 @@ def _linearised(
     prior, prior_scale = _prior_terms(parameters, start_yaw, target)
 
     weighted = edge_slope * edge_weight[..., None]
-    normal = np.einsum("bmp,bmq->bpq", point_slope, point_slope) + np.einsum(
-        "bep,beq->bpq", weighted, edge_slope
-    )
-    gradient = np.einsum("bmp,bm->bp", point_slope, point_residual) + np.einsum("bep,be->bp", weighted, edge)
+    edge_turned = weighted.transpose(0, 2, 1)
+    normal = edge_turned @ edge_slope
+    gradient = (edge_turned @ edge[..., None])[..., 0]
+    seen = point_slope.shape[1]  # points see nothing of height and bottom
+    normal[:, :seen, :seen] += point_slope @ point_slope.transpose(0, 2, 1)
+    gradient[:, :seen] += (point_slope @ point_residual[..., None])[..., 0]
     normal += prior_scale[:, :, None] ** 2 * np.eye(7)
     gradient += prior * prior_scale
     return point_cost + edge_cost + (prior**2).sum(1), normal, gradient
 
 
 def _point_terms(parameters: Floats, target: Target) -> tuple[Floats, Floats, Floats]:
-    """Cost (B,), reweighted residuals (B, M) and their slopes (B, M, 7) of the points."""
+    """Cost (B,), reweighted residuals (B, M) and their slopes (B, 5, M) by x, z, yaw, length and width."""
     along, across = to_box_frame(parameters, target.points_xz)
     beyond_along = np.abs(along) - parameters[:, LENGTH, None] / 2
     beyond_across = np.abs(across) - parameters[:, WIDTH, None] / 2
@@ -199,14 +201,19 @@ def _point_terms(parameters: Floats, target: Target) -> tuple[Floats, Floats, Fl
     # Derivative of the capped cost by the squared residual, as a weight of the plain one.
     scale = np.sqrt(target.weights) * _POINT_CAP / (_POINT_CAP + squared) / sigma
     cos, sin = np.cos(parameters[:, YAW, None]), np.sin(parameters[:, YAW, None])
-    sign = np.where(is_end, np.sign(along), np.sign(across))
-    slope = np.zeros((*distance.shape, 7))
-    slope[..., X] = -sign * np.where(is_end, cos, sin)
-    slope[..., Z] = sign * np.where(is_end, sin, -cos)
-    slope[..., YAW] = sign * np.where(is_end, -across, along)
-    slope[..., LENGTH] = np.where(is_end, -0.5, 0.0)
-    slope[..., WIDTH] = np.where(is_end, 0.0, -0.5)
-    return cost, distance * scale, slope * scale[..., None]
+    scaled_sign = np.where(is_end, np.sign(along), np.sign(across)) * scale
+    half = scale / -2
+    slope = np.stack(
+        [
+            -scaled_sign * np.where(is_end, cos, sin),
+            scaled_sign * np.where(is_end, sin, -cos),
+            scaled_sign * np.where(is_end, -across, along),
+            np.where(is_end, half, 0.0),
+            np.where(is_end, 0.0, half),
+        ],
+        axis=1,
+    )
+    return cost, distance * scale, slope
 
 
 def _prior_terms(parameters: Floats, start_yaw: Floats, target: Target) -> tuple[Floats, Floats]:

@@ -25,8 +25,8 @@ _DIRECTION_BINS = 36
 _CLOSENESS_STEPS = 60
 _CLOSENESS_FLOOR_M = 0.05
 _SAME_DIRECTION_RAD = 0.08
-# Points sit a little inside the quantiles that are taken for their extent.
-_QUANTILE = 0.03
+# This share of the points at either end does not count for their extent.
+_OUTERMOST = 0.03
 _SLACK_M = 0.4
 # Proposals nearer to each other than this are one.
 _GRAIN = np.array([0.3, 0.3, 0.1])
@@ -64,7 +64,7 @@ def find_clusters(view: View, region: Region, settings: RepairSettings) -> list[
             if len(inside) < _CORE_POINTS or inside.tobytes() in seen:
                 continue
             seen.add(inside.tobytes())
-            left, right = np.quantile(view.pixels[inside, 0], (0.02, 0.98))
+            left, right = _extent(view.pixels[inside, 0])
             span = (right - left) / max(region.width_px, 1.0)
             share = len(inside) / is_inside.sum()
             likeness = span * (len(inside) / member.sum()) * np.sqrt(min(1.0, 2 * share))
@@ -167,7 +167,7 @@ def _placements(
     axes, sensor = turn @ points_xz.T, turn @ sensor_xz
     options: list[tuple[float, ...]] = []
     for axis, from_side, side in zip(axes, sensor, size[:2], strict=True):
-        low, high = np.quantile(axis, (_QUANTILE, 1 - _QUANTILE))
+        low, high = _extent(axis)
         extent, middle = high - low, (low + high) / 2
         at_low, at_high = low + side / 2, high - side / 2
         if extent > side + _SLACK_M or (either_end and extent < side - _SLACK_M):
@@ -181,6 +181,13 @@ def _placements(
         for along in options[0]
         for across in options[1]
     ]
+
+
+def _extent(values: Floats) -> tuple[float, float]:
+    """From which value to which (M,) reach, but for the outermost few."""
+    ordered = np.sort(values)
+    outermost = round(_OUTERMOST * (len(ordered) - 1))
+    return float(ordered[outermost]), float(ordered[-1 - outermost])
 
 
 def _from_prompt(view: View, region: Region, height_m: float) -> list[tuple[float, float, float]]:

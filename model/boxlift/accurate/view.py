@@ -18,6 +18,7 @@ from boxlift.settings import GroundSettings
 _BEYOND_BORDER = 0.3
 # Around a prompt, by this share of its width, lies what an object may continue into.
 _SURROUNDINGS = 0.3
+_NEAREST_M = 0.5
 # Points lower than this above the ground may be ground.
 _OFF_GROUND_M = 0.2
 # Rays and points per prompt that the evidence looks at; more say nothing new.
@@ -42,16 +43,30 @@ class View:
 
         The ground is fitted to those in the image, so that a sweep cropped to the view labels alike.
         """
-        points_cam = frame.calibration.velo_to_cam(frame.points_velo)
-        points_cam = points_cam[points_cam[:, 2] > 0.5]
-        pixels, depth_m = frame.calibration.project(points_cam)
-        size = np.array(frame.image_size_px)
-        margin = (_BEYOND_BORDER + 0.1) * size
-        near = (depth_m > 0) & ((pixels > -margin) & (pixels < size + margin)).all(axis=1)
-        points_cam, pixels = points_cam[near], pixels[near]
-        in_image = ((pixels >= 0) & (pixels < size)).all(axis=1)
+        calibration = frame.calibration
+        points_velo = frame.points_velo[:, :3]
+        depth_m = points_velo @ calibration.cam_SE3_velo[2, :3].astype(points_velo.dtype)
+        before = depth_m > _NEAREST_M - calibration.cam_SE3_velo[2, 3]
+        points_cam = calibration.velo_to_cam(points_velo[before])
+        pixels, depth_m = calibration.project(points_cam)
+        columns, rows = pixels.T
+        width, height = frame.image_size_px
+        margin = _BEYOND_BORDER + 0.1
+        near = (columns > -margin * width) & (columns < (1 + margin) * width) & (depth_m > 0)
+        near &= (rows > -margin * height) & (rows < (1 + margin) * height)
+        # Column by column in memory: every prompt compares whole columns.
+        points_cam, pixels = np.asfortranarray(points_cam[near]), np.asfortranarray(pixels[near])
+        columns, rows = pixels.T
+        in_image = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
         ground = find_ground(points_cam[in_image], frame.name, settings)
         return cls(frame, ground, points_cam, pixels, ground.height_above(points_cam))
+
+    def within(self, low_px: Floats, high_px: Floats) -> NDArray[np.bool_]:
+        """(N,) which points fall between two corners (2,) of the image, edges included."""
+        columns, rows = self.pixels.T
+        inside: NDArray[np.bool_] = (columns >= low_px[0]) & (columns <= high_px[0])
+        inside &= (rows >= low_px[1]) & (rows <= high_px[1])
+        return inside
 
     @property
     def sensor_cam(self) -> Floats:
@@ -66,14 +81,16 @@ class Region:
     box_px: (4,) the prompt cut to the image. cut: (4,) edges x1, y1, x2, y2 that the border may cut.
     may_hide: whether the border or a nearer prompt may hide a part of the object.
     inside: (M,) a sample of the object-high points in the prompt, those claimed by nearer objects left
-    out; a prompt that the border cuts goes on beyond it. around: (K,) likewise, the surroundings with it.
-    around_inside: (K,) which of those lie in the prompt. found: points in the prompt before sampling.
+    out; a prompt that the border cuts goes on beyond it. inside_image: (M,) which of those the camera saw.
+    around: (K,) likewise, the surroundings with it. around_inside: (K,) which of those lie in the prompt.
+    found: points in the prompt before sampling.
     """
 
     box_px: Floats
     cut: NDArray[np.bool_]
     may_hide: bool
     inside: Indices
+    inside_image: NDArray[np.bool_]
     around: Indices
     around_inside: NDArray[np.bool_]
     in_prompt: int
@@ -96,20 +113,23 @@ def region_of(view: View, index: int, claimed: NDArray[np.bool_], height_m: floa
     low, high = (box_px + beyond)[:2], (box_px + beyond)[2:]
     margin = _SURROUNDINGS * (box_px[2] - box_px[0])
 
-    in_box = ((view.pixels >= low) & (view.pixels <= high)).all(axis=1)
+    in_box = view.within(low, high)
     if frame.instance_ids is not None:
         in_box &= _on_mask(view, index)
     objects = (view.above_m > _OFF_GROUND_M) & (view.above_m < height_m) & ~claimed
-    near = ((view.pixels >= low - margin) & (view.pixels <= high + margin)).all(axis=1)
+    near = view.within(low - margin, high + margin)
     inside, around = np.flatnonzero(in_box & objects), np.flatnonzero(near & objects)
     rng = np.random.default_rng(seed_of(frame.name, index))
     found = len(inside)
-    around = _sample(around, _MAX_AROUND, rng)
+    inside, around = _sample(inside, _MAX_INSIDE, rng), _sample(around, _MAX_AROUND, rng)
+    columns, rows = view.pixels[inside].T
+    inside_image = (columns >= 0) & (columns < size[0]) & (rows >= 0) & (rows < size[1])
     return Region(
         box_px=box_px,
         cut=cut,
         may_hide=bool(cut.any()) or _nearer_prompt_overlaps(frame, index),
-        inside=_sample(inside, _MAX_INSIDE, rng),
+        inside=inside,
+        inside_image=inside_image,
         around=around,
         around_inside=in_box[around],
         in_prompt=int(in_box.sum()),

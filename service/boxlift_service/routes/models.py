@@ -6,9 +6,8 @@ from collections.abc import Mapping
 
 from fastapi import APIRouter
 
-from boxlift.settings import LabellerSettings
+from boxlift.settings import DEFAULT_PRESET, LabellerSettings
 from boxlift_service.answers import LabellerModel, ModelsAnswer
-from boxlift_service.decoding import DEFAULT_PRESET
 
 
 def models_routes(presets: Mapping[str, LabellerSettings]) -> APIRouter:
