@@ -11,7 +11,6 @@ The rows of the paper's ablations (see weakm3d_tables.py) with two fits, and our
   whose headings are evenly turned from a random one, as then none is read from the points.
 - Part "descent": one descent, as training a network is. It starts at the mean of the points with the frozen
   size and the heading read from the points, also where these are free.
-
 - Part "accurate": the preset `accurate` with each of its repairs switched off alone.
 
 The centre loss stays in every row, as in the paper. Its numbers are the average precision of a network, ours

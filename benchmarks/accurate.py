@@ -23,6 +23,7 @@ from boxlift import LabellerSettings
 from boxlift.camera import Floats
 from boxlift.datasets import load_prompts, open_source
 from boxlift.evaluation import BENCHMARK_CLASSES, DIFFICULTIES, evaluate_folders
+from boxlift.evaluation.kitti import FULL_CURVE_TRUTHS
 from boxlift.formats.kitti_label import objects_of, to_text
 from boxlift.labeller import Labeller
 from boxlift.settings import ACCURATE
@@ -97,6 +98,7 @@ def print_detections(settings: LabellerSettings, folder: Path, groups: Mapping[s
                     if at.recall_points == "R40" and any(at.truths):
                         cells = " ".join("    -" if ap is None else f"{ap:5.1f}" for ap in at.ap_3d)
                         print(f"{group:36} {category:10} {at.iou_3d:6.2f} {cells}  {at.truths}")
+        print(f"(With fewer than {FULL_CURVE_TRUTHS} truths even perfect labels stay below 100.)")
 
 
 def print_sequences(settings: LabellerSettings, beside: Path) -> None:
