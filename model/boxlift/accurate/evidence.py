@@ -22,7 +22,7 @@ from boxlift.accurate.parameters import (
     Z,
     to_box_frame,
 )
-from boxlift.accurate.polish import SizePull, edge_errors, outline_distance
+from boxlift.accurate.polish import GROUND_M, SizePull, edge_errors, outline_distance
 from boxlift.accurate.view import Region, View
 from boxlift.camera import Floats
 
@@ -33,7 +33,6 @@ _BODY = 0.6
 _ON_M, _CORE_M, _RING_M = 0.2, 0.15, 0.6
 _DEEP_M = 0.8
 _EDGE_HUBER = 2.0
-_GROUND_M = 0.08
 _OUTSIDE_M, _INSIDE_M, _POINT_CAP = 0.07, 0.3, 9.0
 _PRIOR_CAUCHY = 2.0
 
@@ -103,7 +102,7 @@ def weigh(
     errors, _ = edge_errors(parameters, region.box_px, frame.image_size_px, frame.calibration)
     errors = _EDGE_HUBER**2 * (np.sqrt(1 + (errors / _EDGE_HUBER) ** 2) - 1) * use_edges
     off_size = (parameters[:, LENGTH : HEIGHT + 1] - size.lwh_m) / size.sigma_m
-    off_ground = (parameters[:, BOTTOM] - view.ground.y_at(parameters[:, X], parameters[:, Z])) / _GROUND_M
+    off_ground = (parameters[:, BOTTOM] - view.ground.y_at(parameters[:, X], parameters[:, Z])) / GROUND_M
     priors = _PRIOR_CAUCHY**2 * np.log1p((np.column_stack([off_size, off_ground]) / _PRIOR_CAUCHY) ** 2)
     distance = outline_distance(parameters, inside_xz)
     squared = (distance / np.where(distance > 0, _OUTSIDE_M, _INSIDE_M)) ** 2
