@@ -18,9 +18,9 @@ from boxlift.settings import GroundSettings
 # The grid covers this far to each side of the camera and ahead, and a little behind it, metres.
 _SIDE_M, _BEHIND_M, _AHEAD_M = 60.0, 4.0, 88.0
 # A lowest point this far above its neighbours' cone is still ground; this far off a local plane it is not.
-_CONE_SLACK_M = 0.15
+_CONE_SLACK_M = 0.1
 _PLANE_SLACK_M = 0.15
-_CONE_REACH_CELLS = 2
+_CONE_REACH_CELLS = 4
 # A point may lie this far off the first plane, and this much more per metre of range, to be ground at all.
 _OFF_PLANE_M, _OFF_PLANE_PER_M = 0.6, 0.06
 # Windows (in cells to each side) of the local planes: the smallest that holds enough ground cells.

@@ -22,7 +22,7 @@ from boxlift.accurate.parameters import (
     Z,
     to_box_frame,
 )
-from boxlift.accurate.polish import SizePull, edge_errors, outline_distance
+from boxlift.accurate.polish import GROUND_M, SizePull, edge_errors, outline_distance
 from boxlift.accurate.view import Region, View
 from boxlift.camera import Floats
 
@@ -31,8 +31,8 @@ _SOLID = 0.9
 # Above this share of its height a vehicle has windows.
 _BODY = 0.6
 _ON_M, _CORE_M, _RING_M = 0.2, 0.15, 0.6
+_DEEP_M = 0.8
 _EDGE_HUBER = 2.0
-_GROUND_M = 0.08
 _OUTSIDE_M, _INSIDE_M, _POINT_CAP = 0.07, 0.3, 9.0
 _PRIOR_CAUCHY = 2.0
 
@@ -102,7 +102,7 @@ def weigh(
     errors, _ = edge_errors(parameters, region.box_px, frame.image_size_px, frame.calibration)
     errors = _EDGE_HUBER**2 * (np.sqrt(1 + (errors / _EDGE_HUBER) ** 2) - 1) * use_edges
     off_size = (parameters[:, LENGTH : HEIGHT + 1] - size.lwh_m) / size.sigma_m
-    off_ground = (parameters[:, BOTTOM] - view.ground.y_at(parameters[:, X], parameters[:, Z])) / _GROUND_M
+    off_ground = (parameters[:, BOTTOM] - view.ground.y_at(parameters[:, X], parameters[:, Z])) / GROUND_M
     priors = _PRIOR_CAUCHY**2 * np.log1p((np.column_stack([off_size, off_ground]) / _PRIOR_CAUCHY) ** 2)
     distance = outline_distance(parameters, inside_xz)
     squared = (distance / np.where(distance > 0, _OUTSIDE_M, _INSIDE_M)) ** 2
@@ -147,16 +147,35 @@ def _rays(
         inverse = 1 / np.where(np.abs(ray) < 1e-6, 1e-6, ray)
         middle, reach = -start * inverse, _SOLID / 2 * side * np.abs(inverse)
         enter, leave = np.maximum(enter, middle - reach), np.minimum(leave, middle + reach)
-    hit = (enter < leave) & (leave > 0) & ~is_on
-    missed = ~hit & ~is_on
+    crosses = (enter < leave) & (leave > 0)
     # Height of the ray over the box's bottom where it enters and leaves: rays from a roof look down.
     sensor_height = parameters[:, BOTTOM, None] - sensor[1]
     rise = sensor[1] - points[:, 1]
     lowest = sensor_height + np.minimum(enter * rise, leave * rise)
-    through = hit & (leave < 1) & (lowest < _BODY * parameters[:, HEIGHT, None])
+    is_low = lowest < _BODY * parameters[:, HEIGHT, None]
+    # A ray that ends deep behind all sides that the sensor sees went through the body to get there.
+    is_deep = (
+        is_on & is_low & (_from_seen_sides(parameters, along, across, from_along, from_across) < -_DEEP_M)
+    )
+    is_on &= ~is_deep
+    hit = crosses & ~is_on & ~is_deep
+    missed = ~crosses & ~is_on & ~is_deep
+    through = is_deep | (hit & (leave < 1) & is_low)
     farther = np.hypot(along - from_along, across - from_across) > np.hypot(from_along, from_across)
     # Beyond the image's border nobody says that there is only the object.
     seen = region.inside_image if region.inside_image.any() else np.ones(len(points), dtype=np.bool_)
     shares = (is_on, hit & (enter > 1), through, missed & ~farther, missed & farther)
     on, short, went_through, beside, behind = (share[:, seen].mean(1) for share in shares)
     return on, short, went_through, beside, behind, is_on
+
+
+def _from_seen_sides(
+    parameters: Floats, along: Floats, across: Floats, from_along: Floats, from_across: Floats
+) -> Floats:
+    """(B, M) signed distance of points beyond the sides that face the sensor; negative inside."""
+    ends = np.sign(from_along) * along - parameters[:, LENGTH, None] / 2
+    flanks = np.sign(from_across) * across - parameters[:, WIDTH, None] / 2
+    sees_end = np.abs(from_along) > parameters[:, LENGTH, None] / 2
+    sees_flank = np.abs(from_across) > parameters[:, WIDTH, None] / 2
+    distance: Floats = np.maximum(np.where(sees_end, ends, -np.inf), np.where(sees_flank, flanks, -np.inf))
+    return np.where(sees_end | sees_flank, distance, 0.0)

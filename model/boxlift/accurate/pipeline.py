@@ -165,14 +165,15 @@ def _scout(
     if repairs.polish:
         some = slice(None, None, _SCOUT_STRIDE)
         worth = weights[some] * _SCOUT_STRIDE
-        target = Target.of_one(
-            len(proposals), points_xz[some], worth, region.box_px, size, proposals[:, BOTTOM]
-        )
+        on_ground = view.ground.is_known(proposals[:, X], proposals[:, Z])
+        target = Target.of_one(points_xz[some], worth, region.box_px, size, proposals[:, BOTTOM], on_ground)
         proposals = polish(proposals, target, freedom, _SCOUT_STEPS)
     energy = weigh(view, region, proposals, size, use_edges=repairs.edges).energy(EVIDENCE_WEIGHTS)
     hypotheses = distinct(proposals[np.argsort(energy, kind="stable")])[: repairs.fits]
-    ground_y = view.ground.y_at(hypotheses[:, X], hypotheses[:, Z])
-    target = Target.of_one(len(hypotheses), points_xz, weights, region.box_px, size, ground_y)
+    x, z = hypotheses[:, X], hypotheses[:, Z]
+    target = Target.of_one(
+        points_xz, weights, region.box_px, size, view.ground.y_at(x, z), view.ground.is_known(x, z)
+    )
     return _Scouted(index, region, size, hypotheses, target)
 
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from boxlift.accurate.parameters import (
     BOTTOM,
@@ -35,7 +36,7 @@ _POINTS_WORTH = 10.0
 _EDGE_PX, _EDGE_SHARE = 2.0, 0.015
 # Edge errors beyond this many standard deviations count by their logarithm (Cauchy).
 _EDGE_CAUCHY = 2.0
-_GROUND_M = 0.08
+GROUND_M, _UNKNOWN_GROUND_M = 0.08, 0.3
 _YAW_RAD = 0.5
 _LARGEST_STEP = 0.5
 _SMALLEST_SIDE_M = 0.2
@@ -55,7 +56,7 @@ class Target:
 
     points_xz (B, M, 2) with weights (B, M), 0 where a point is padding. box_px (B, 4) the prompt cut to the
     image, which the projected box is cut to as well: an edge beyond the border costs nothing. lwh_m,
-    sigma_m (B, 3) the size and how far it may be off. bottom_y (B,) the ground.
+    sigma_m (B, 3) the size and how far it may be off. bottom_y, bottom_sigma_m (B,) the same for the ground.
     """
 
     points_xz: Floats
@@ -64,17 +65,26 @@ class Target:
     lwh_m: Floats
     sigma_m: Floats
     bottom_y: Floats
+    bottom_sigma_m: Floats
 
     @classmethod
     def of_one(
-        cls, count: int, points_xz: Floats, weights: Floats, box_px: Floats, size: SizePull, bottom_y: Floats
+        cls,
+        points_xz: Floats,
+        weights: Floats,
+        box_px: Floats,
+        size: SizePull,
+        bottom_y: Floats,
+        ground_is_known: NDArray[np.bool_],
     ) -> Target:
-        """The target of `count` hypotheses on one prompt: points (M, 2), weights (M,), box (4,)."""
+        """The target of B hypotheses on one prompt: points (M, 2), weights (M,), box (4,); ground (B,)."""
+        count = len(bottom_y)
         points, weight, box, lwh, sigma = (
             np.broadcast_to(one, (count, *one.shape))
             for one in (points_xz, weights, box_px, size.lwh_m, size.sigma_m)
         )
-        return cls(points, weight, box, lwh, sigma, bottom_y)
+        bottom_sigma_m = np.where(ground_is_known, GROUND_M, _UNKNOWN_GROUND_M)
+        return cls(points, weight, box, lwh, sigma, bottom_y, bottom_sigma_m)
 
     @classmethod
     def joined(cls, targets: Sequence[Target]) -> Target:
@@ -91,7 +101,7 @@ class Target:
             np.concatenate([padded(target.weights) for target in targets]),
             *(
                 np.concatenate([getattr(target, name) for target in targets])
-                for name in ("box_px", "lwh_m", "sigma_m", "bottom_y")
+                for name in ("box_px", "lwh_m", "sigma_m", "bottom_y", "bottom_sigma_m")
             ),
         )
 
@@ -220,6 +230,6 @@ def _prior_terms(parameters: Floats, start_yaw: Floats, target: Target) -> tuple
     """Priors as residuals (B, 7) in standard deviations, and one over those (B, 7); 0 without a prior."""
     nothing = np.zeros((len(parameters), 2))
     wanted = np.column_stack([nothing, start_yaw, target.lwh_m, target.bottom_y])
-    yaw, ground = np.full(len(parameters), 1 / _YAW_RAD), np.full(len(parameters), 1 / _GROUND_M)
-    scale = np.column_stack([nothing, yaw, 1 / target.sigma_m, ground])
+    yaw = np.full(len(parameters), 1 / _YAW_RAD)
+    scale = np.column_stack([nothing, yaw, 1 / target.sigma_m, 1 / target.bottom_sigma_m])
     return (parameters - wanted) * scale, scale
