@@ -56,20 +56,19 @@ def test_a_wall_that_goes_on_outside_is_less_likely_than_the_object() -> None:
     first, *others = find_clusters(view, region, REPAIRS)
     assert (view.points_cam[first.rows][:, 2] < 20).all()
     assert any((view.points_cam[cluster.rows][:, 2] > 20).all() for cluster in others)
-    assert first.likeness > 2 * max(cluster.likeness for cluster in others)
+    assert first.likeness > 1.5 * max(cluster.likeness for cluster in others)
 
 
 def test_two_cars_that_touch_are_parted_at_the_finer_scale() -> None:
-    """0.35 m from bumper to bumper at 8 m: one cluster at the radius, two at half of it."""
-    car, next_to_it = a_box(-2.2, 8.0, 0.0), a_box(2.15, 8.0, 0.0)
-    both = np.concatenate([outline_points(box, 40) for box in (car, next_to_it)])
+    """0.3 m from bumper to bumper, along the road: the rear of the farther one is in the prompt too."""
+    car, behind_it = a_box(-3.0, 8.0, -QUARTER), a_box(-3.0, 12.3, -QUARTER)
+    both = np.concatenate([outline_points(box, 40) for box in (car, behind_it)])
     view, region = seen(upright(both), car)
-    coarse = find_clusters(view, region, RepairSettings(cluster_scales=(1.0,)))
-    wide = max(coarse, key=lambda cluster: len(cluster.rows))
-    assert view.points_cam[wide.rows][:, 0].max() > 0
+    (joined,) = find_clusters(view, region, RepairSettings(cluster_scales=(1.0,)))
     parted = find_clusters(view, region, REPAIRS)
-    assert (view.points_cam[parted[0].rows][:, 0] < 0).all()
-    assert parted[0].likeness > coarse[0].likeness
+    assert view.points_cam[joined.rows][:, 2].max() > 10.2
+    assert view.points_cam[parted[0].rows][:, 2].max() < 10.1
+    assert joined.rows.tolist() in [cluster.rows.tolist() for cluster in parted]
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
@@ -185,6 +184,6 @@ def test_proposals_stand_on_the_ground_and_differ() -> None:
 
 
 def test_of_rows_that_are_alike_the_first_remains() -> None:
-    rows = np.array([[1.0, 9.0, 0.5, 7.0], [4.0, 9.0, 0.5, 8.0], [1.05, 9.0, 0.5, 9.0]])
+    rows = np.array([[1.1, 9.0, 0.5, 7.0], [4.0, 9.0, 0.5, 8.0], [1.15, 9.0, 0.5, 9.0]])
     assert distinct(rows).tolist() == rows[:2].tolist()
     assert distinct(np.empty((0, 7))).shape == (0, 7)
