@@ -61,7 +61,12 @@ def test_the_derivatives_of_the_edges_are_those_of_finite_differences(calibratio
         assert derivative[..., column] == pytest.approx((later - earlier) / (2 * step), rel=1e-4, abs=1e-3)
 
 
-def test_a_box_around_the_camera_has_finite_edges() -> None:
-    edges, derivative = project_edges(a_box(0.0, 0.0), CALIBRATION)
+@pytest.mark.parametrize("offset", [-2.0, -0.3, 0.0, 0.3])
+def test_a_box_around_the_camera_has_finite_edges(offset: float) -> None:
+    """Also where the camera stands before or behind the origin of the rectified frame."""
+    image_P_cam = CALIBRATION.image_P_cam.copy()
+    image_P_cam[2, 3] = offset
+    calibration = Calibration(image_P_cam, CALIBRATION.cam_SE3_velo)
+    edges, derivative = project_edges(a_box(0.0, 0.0), calibration)
     assert np.isfinite(edges).all()
     assert np.isfinite(derivative).all()
