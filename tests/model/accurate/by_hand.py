@@ -54,9 +54,7 @@ def view_of(
     points_cam: Floats, prompts: Sequence[Prompt] = (), calibration: Calibration = CALIBRATION
 ) -> View:
     """All of the points (N, 3), over level ground that needs no fit."""
-    frame = Frame(
-        "by_hand", calibration.cam_to_velo(points_cam), calibration, IMAGE_SIZE_PX, tuple(prompts)
-    )
+    frame = Frame("by_hand", calibration.cam_to_velo(points_cam), calibration, IMAGE_SIZE_PX, tuple(prompts))
     ground = Ground(np.zeros(len(points_cam), dtype=np.bool_), LEVEL)
     pixels, _ = calibration.project(points_cam)
     return View(frame, ground, points_cam, pixels, LEVEL.height_above(points_cam))

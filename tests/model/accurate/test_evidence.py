@@ -165,7 +165,7 @@ def test_a_half_turn_changes_nothing() -> None:
             2000,
             marks=pytest.mark.xfail(
                 strict=True,
-                reason="counted in the sample of the surroundings, scaled by that of the prompt: twice as many",
+                reason="counted among 320 points of the surroundings, scaled as if among 160",
             ),
         ),
     ],

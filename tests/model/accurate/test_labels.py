@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -121,14 +120,13 @@ def test_masks() -> None:
     ids = np.zeros(IMAGE_SIZE_PX[::-1], dtype=np.uint16)
     x1, y1, x2, y2 = (int(edge) for edge in frame.prompts[0].box_px)
     ids[y1 : y2 + 1, x1 : x2 + 1] = 1
-    a1, b1, a2, b2 = (int(edge) for edge in frame.prompts[1].box_px)
-    ids[b2 - 1 : b2 + 1, a1 : a1 + 4] = 2
+    left, _, _, bottom = (int(edge) for edge in frame.prompts[1].box_px)
+    ids[bottom - 1 : bottom + 1, left : left + 4] = 2
     first, second, third = labelled(replace(frame, instance_ids=ids)).objects
     assert first.box is not None
     assert iou_3d(first.box, CARS[0])[0] > 0.8
     assert second.result in (Result.TOO_FEW_POINTS, Result.NO_OBJECT_POINTS)
-    assert a2 > a1
-    assert b2 > b1
+    assert "mask" in second.sentence
     assert third.result is Result.EMPTY_MASK
     assert third.sentence == Result.EMPTY_MASK.value
 
@@ -178,16 +176,17 @@ def test_every_repair_is_switched_off_here() -> None:
     assert {name for off in REPAIRS_OFF for name in off} == set(RepairSettings.model_fields)
 
 
-@pytest.mark.parametrize("off", [*REPAIRS_OFF, {k: v for off in REPAIRS_OFF for k, v in off.items()}], ids=str)
+@pytest.mark.parametrize(
+    "off", [*REPAIRS_OFF, {k: v for off in REPAIRS_OFF for k, v in off.items()}], ids=str
+)
 def test_without_a_repair_cars_still_get_boxes(off: dict[str, object]) -> None:
     labels = labelled(frame_of(CARS), **off)
     assert labels.counts() == {"FITTED": 3}
     assert details.to_text(labels)
 
 
-@pytest.mark.parametrize("method", ["search", "adam"])
-def test_either_fit_will_do(method: Literal["search", "adam"]) -> None:
-    settings = ACCURATE.with_options({"fit": {"method": method, "adam_steps": 20}})
+def test_adam_is_an_option() -> None:
+    settings = ACCURATE.with_options({"fit": {"method": "adam", "adam_steps": 20}})
     (label,) = Labeller(settings).label(frame_of(CARS[:1])).objects
     assert label.box is not None
     assert iou_3d(label.box, CARS[0])[0] > 0.7

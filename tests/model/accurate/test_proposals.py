@@ -143,7 +143,9 @@ def test_a_rear_alone_is_tried_as_rear_and_as_side() -> None:
     assert turn < 0.05
     assert turn_between(float(boxes[:, YAW].max() - boxes[:, YAW].min()), 0.0) < 0.05
     assert np.ptp(boxes[:, YAW]) == pytest.approx(QUARTER, abs=0.05)
-    assert np.ptp(proposed(rear, car, RepairSettings(prompt_placement=False, perpendicular=False))[:, YAW]) == 0
+    assert (
+        np.ptp(proposed(rear, car, RepairSettings(prompt_placement=False, perpendicular=False))[:, YAW]) == 0
+    )
     # Nothing stands before the face that was seen.
     assert (outline_distance(boxes, np.array([[0.0, 12.0]])) > 0).all()
 

@@ -25,6 +25,8 @@ def test_nine_of_ten_moderate_cars_reach_an_overlap_of_a_half(kitti_object_root:
         for truth, label in zip(truths, labeller.label(frame).objects, strict=True):
             tall = truth.box_px[3] - truth.box_px[1] >= 25
             if truth.category == "Car" and tall and truth.occluded <= 1 and truth.truncated <= 0.3:
-                overlaps.append(0.0 if label.box is None else float(iou_3d(label.box, boxes3d_of([truth]))[0]))
+                overlaps.append(
+                    0.0 if label.box is None else float(iou_3d(label.box, boxes3d_of([truth]))[0])
+                )
     assert len(overlaps) >= 50
     assert np.mean(np.array(overlaps) > 0.5) >= 0.9

@@ -13,7 +13,9 @@ from boxlift.labeller import Labeller
 from model.small_frame import CALIBRATION, car, frame_of
 
 FRAME = frame_of([car(3.0, 14.0, -1.4), car(-5.0, 22.0, -1.7), car(6.0, 30.0, 0.0)])
-RNG = np.random.default_rng(0)
+# A metre about the origin.
+CROWD = np.random.default_rng(0).normal(0, 1, (3000, 3))
+ANYWHERE = np.random.default_rng(1).uniform(0, 1, (5000, 3))
 # In the prompt of the first car.
 ON_THE_CAR = np.array([13.0, -2.9, -0.9])
 CLASSES = ("Car", "Pedestrian", "Cyclist", "Truck")
@@ -49,11 +51,11 @@ def boxes_of(frame: Frame) -> list[Boxes3D]:
         ON_THE_CAR + np.linspace(0, 1, 300)[:, None] * [0.0, 0, 1],
         ON_THE_CAR + np.linspace(0, 9, 300)[:, None] * [1.0, 0, 0],
         ON_THE_CAR * np.linspace(0.2, 3, 300)[:, None],
-        np.concatenate([FRAME.points_velo, RNG.uniform(-1e6, 1e6, (2000, 3)), np.full((9, 3), 1e6)]),
-        RNG.uniform(0, 1e6, (5000, 3)) * [1.0, 0.3, 0.05],
-        RNG.normal(0, 1, (3000, 3)),
-        RNG.normal(0, 1, (3000, 3)) + [1.5, 0, 0],
-        RNG.uniform(0, 1e-3, (3000, 3)) + [14.0, -3, 0],
+        np.concatenate([FRAME.points_velo, 2e6 * (ANYWHERE - 0.5), np.full((9, 3), 1e6)]),
+        1e6 * ANYWHERE * [1.0, 0.3, 0.05],
+        CROWD,
+        CROWD + np.array([1.5, 0, 0]),
+        1e-3 * ANYWHERE + ON_THE_CAR,
     ],
     ids=[
         "none",
@@ -113,15 +115,16 @@ def test_a_camera_before_or_behind_the_origin_of_the_frame(offset: float) -> Non
     image_P_cam = CALIBRATION.image_P_cam.copy()
     image_P_cam[:, 3] = (40.0, 0.2, offset)
     calibration = Calibration(image_P_cam, CALIBRATION.cam_SE3_velo)
-    close = RNG.normal(0, 0.7, (2000, 3)) + [2.0, 0, 0]
+    close = 0.7 * CROWD + np.array([2.0, 0, 0])
     points_velo = np.concatenate([FRAME.points_velo, close])
     prompts = (*FRAME.prompts, Prompt("Car", (0.0, 0.0, 1242.0, 375.0)), Prompt("Car", (0, 100, 400, 375)))
     boxes_of(replace(FRAME, calibration=calibration, points_velo=points_velo, prompts=prompts))
 
 
 def test_prompts_at_random() -> None:
-    corners = RNG.uniform(-200, 1400, (60, 2, 2)) * [1.0, 0.3]
-    (low, high), names = (corners.min(1), corners.max(1)), RNG.choice(CLASSES, 60)
+    rng = np.random.default_rng(2)
+    corners = rng.uniform(-200, 1400, (60, 2, 2)) * [1.0, 0.3]
+    (low, high), names = (corners.min(1), corners.max(1)), rng.choice(CLASSES, 60)
     prompts = [
         Prompt(str(name), (float(a), float(b), float(c), float(d)))
         for name, (a, b), (c, d) in zip(names, low, high, strict=True)
