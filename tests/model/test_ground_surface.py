@@ -60,15 +60,15 @@ def test_a_kerb_stays_a_step() -> None:
     assert surface.is_known(X, Z).all()
 
 
-def test_cars_do_not_lift_the_ground_under_them() -> None:
-    """Sides down to the ground's height, roofs, and no ground at all beneath."""
+@pytest.mark.parametrize(("long_m", "wide_m", "tall_m"), [(4.2, 1.8, 1.45), (8.0, 7.0, 1.2)])
+def test_vehicles_do_not_lift_the_ground_under_them(long_m: float, wide_m: float, tall_m: float) -> None:
+    """A car, and a block of cars so wide that whole cells hold nothing but roofs."""
     x, z = scattered()
-    footprint = (np.abs(x - 3) < 0.9) & (np.abs(z - 20) < 2.1)
-    height = slope(x, z) + np.where(footprint, 1.45, 0.0)
-    surface = surface_of(road(height, x, z))
-    assert surface.height_at(X, Z) == pytest.approx(slope(X, Z), abs=0.08)
-    at_the_car = surface.height_at(np.array([3.0]), np.array([20.0]))
-    assert at_the_car == pytest.approx(slope(np.array([3.0]), np.array([20.0])), abs=0.1)
+    under = (np.abs(x - 3) < wide_m / 2) & (np.abs(z - 20) < long_m / 2)
+    surface = surface_of(road(slope(x, z) + np.where(under, tall_m, 0.0), x, z))
+    assert surface.height_at(X, Z) == pytest.approx(slope(X, Z), abs=0.1)
+    below = np.array([3.0]), np.array([20.0])
+    assert surface.height_at(*below) == pytest.approx(slope(*below), abs=0.1)
 
 
 def test_without_points_it_is_the_plane_and_nothing_is_known() -> None:

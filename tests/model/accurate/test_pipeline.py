@@ -77,7 +77,7 @@ def test_times_name_the_stages() -> None:
 
 def test_a_decision_does_not_depend_on_prompts_with_points_of_their_own() -> None:
     """Nor on the size of the batch; prompts keep their numbers, which seed the samples."""
-    frame = frame_of([*CARS[:2], car(12.0, 30.0, 0.0)])
+    frame = frame_of([*CARS[:2], car(14.0, 30.0, 0.0)])
     view = View.of(frame, ACCURATE.ground)
     together = decide(view, [0, 1, 2], ACCURATE)
     for index in range(3):
