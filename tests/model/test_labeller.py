@@ -1,4 +1,4 @@
-"""The pipeline as a whole, on frames made by hand and on real ones."""
+"""The paper's pipeline as a whole, on frames made by hand and on real ones."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_labels_cars_of_the_frozen_size(name: str, cars: list[Boxes3D], ground_c
 
 
 def test_the_perpendicular_heading_is_kept_as_rejected() -> None:
-    (label,) = Labeller().label(frame_of(CARS[:1])).objects
+    (label,) = Labeller(PAPER).label(frame_of(CARS[:1])).objects
     (rejected,) = label.rejected
     assert label.box is not None
     turn = abs(rejected.box.rotation_y[0] - label.box.rotation_y[0])
@@ -48,7 +48,7 @@ def test_the_perpendicular_heading_is_kept_as_rejected() -> None:
 def test_every_prompt_is_accounted_for_in_order() -> None:
     good = frame_of(CARS[:2]).prompts
     prompts = (Prompt("Tram", (0, 0, 9, 9)), good[0], Prompt("Car", (5, 5, 5, 5)), good[1])
-    labels = Labeller().label(frame_of(CARS[:2], prompts))
+    labels = Labeller(PAPER).label(frame_of(CARS[:2], prompts))
     assert [label.index for label in labels.objects] == [0, 1, 2, 3]
     assert [label.result for label in labels.objects] == [
         Result.UNKNOWN_CLASS,
@@ -62,7 +62,7 @@ def test_every_prompt_is_accounted_for_in_order() -> None:
 def test_a_label_depends_only_on_its_frame_and_prompt() -> None:
     """Not on the other prompts, nor on what was labelled before."""
     frame = frame_of(CARS)
-    labeller = Labeller()
+    labeller = Labeller(PAPER)
     whole = labeller.label(frame)
     again = labeller.label(frame)
     assert details.to_text(whole) == details.to_text(again)
@@ -76,7 +76,7 @@ def test_a_class_of_ones_own_gets_its_size() -> None:
     (label,) = Labeller(PAPER.with_sizes({"Taxi": taxi})).label(frame_of(CARS[:1], prompts)).objects
     assert label.box is not None
     assert (label.box.height_m[0], label.box.width_m[0], label.box.length_m[0]) == (1.5, 1.7, 4.5)
-    (refused,) = Labeller().label(frame_of(CARS[:1], prompts)).objects
+    (refused,) = Labeller(PAPER).label(frame_of(CARS[:1], prompts)).objects
     assert refused.sentence == (
         "The class 'Taxi' has no size prior (known: Car, Cyclist, Pedestrian, Truck, Van); "
         "declare one in a priors file."
@@ -91,25 +91,25 @@ def test_adam_is_an_option() -> None:
 
 def test_frames_without_prompts_or_points_are_labelled_empty() -> None:
     frame = frame_of(CARS, [])
-    assert Labeller().label(frame).objects == ()
+    assert Labeller(PAPER).label(frame).objects == ()
     nothing = replace(frame_of(CARS), points_velo=np.empty((0, 3)))
-    assert Labeller().label(nothing).counts() == {"TOO_FEW_POINTS": 3}
+    assert Labeller(PAPER).label(nothing).counts() == {"TOO_FEW_POINTS": 3}
 
 
 def test_a_wrong_rig_is_a_warning_and_no_error() -> None:
     frame = frame_of(CARS)
-    assert Labeller().label(frame).warnings == ()
+    assert Labeller(PAPER).label(frame).warnings == ()
     cam_SE3_velo = frame.calibration.cam_SE3_velo.copy()
     cam_SE3_velo[:3, :3] = cam_SE3_velo[:3, :3].T
     wrong = replace(frame, calibration=Calibration(frame.calibration.image_P_cam, cam_SE3_velo))
-    labels = Labeller().label(wrong)
+    labels = Labeller(PAPER).label(wrong)
     assert [warning.doubt for warning in labels.warnings] == [RigDoubt.TILTED]
     assert len(labels.objects) == len(CARS)
 
 
 def test_times_name_the_stages_in_order() -> None:
     times = StageTimes()
-    Labeller().label(frame_of(CARS[:1]), times)
+    Labeller(PAPER).label(frame_of(CARS[:1]), times)
     assert list(times.seconds) == ["rig", "ground", "points", "heading", "fit", "consistency", "confidence"]
 
 
@@ -119,7 +119,7 @@ def test_real_frames_reach_the_faithful_methods_recall(kitti_object_root: Path) 
     overlaps = []
     for name in ("000007", "000031", "000035", "000060", "000685", "001206", "000107", "006920"):
         frame = source.load(name, load_prompts("label_2", source, name))
-        labels = Labeller().label(frame)
+        labels = Labeller(PAPER).label(frame)
         truths = [o for o in load_objects("label_2", source, name) if o.category != "DontCare"]
         assert len(labels.objects) == len(truths)
         for truth, label in zip(truths, labels.objects, strict=True):
