@@ -42,7 +42,8 @@ def project_edges(parameters: Floats, calibration: Calibration) -> tuple[Floats,
     corners = np.stack([x + from_x, bottom - is_top * height + 0 * from_x, corner_z], axis=-1)
     image_P_cam = calibration.image_P_cam
     homogeneous = corners @ image_P_cam[:, :3].T + image_P_cam[:, 3]
-    depth = homogeneous[..., 2:]
+    # The camera may stand before the origin of its frame: then z is not yet depth.
+    depth = homogeneous[..., 2:].clip(_NEAREST_M)
     pixels = homogeneous[..., :2] / depth
 
     rows = np.arange(len(parameters))
