@@ -21,7 +21,12 @@ def score_of(losses: LossTerms, points: PointCounts, prompt_score: float) -> flo
     misfit_m = losses.geometric + losses.ray_tracing
     evidence = 0.15 * math.log(max(points.in_cluster, 1)) - misfit_m
     # The hyperbolic tangent is the logistic that cannot overflow.
-    return min(max(prompt_score, 0.0), 1.0) * (1 + math.tanh(2 * evidence)) / 2
+    return share_of(prompt_score) * (1 + math.tanh(2 * evidence)) / 2
+
+
+def share_of(prompt_score: float) -> float:
+    """A prompt's score cut to [0, 1]; 0 for one that is no number."""
+    return 0.0 if math.isnan(prompt_score) else min(max(prompt_score, 0.0), 1.0)
 
 
 def flags_of(points: PointCounts, *, truncated: bool, ground_uncertain: bool) -> tuple[str, ...]:

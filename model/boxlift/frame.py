@@ -85,8 +85,8 @@ class Result(Enum):
         "({found} of {initial}, at least {needed} are needed)."
     )
     NO_OBJECT_POINTS = (
-        "None of the {initial} LiDAR points inside the 2D box can be the object's: they are ground, too high "
-        "above it, or belong to nearer objects (at least {needed} are needed)."
+        "None of the {initial} LiDAR points inside the 2D {region} can be the object's: they are ground, too "
+        "high above it, or belong to nearer objects (at least {needed} are needed)."
     )
     NO_OBJECT = (
         "Nothing here looks like a {category}: what the camera and the LiDAR saw disagrees ({reason})."

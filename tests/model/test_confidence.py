@@ -23,7 +23,7 @@ def test_a_box_far_from_its_points_scores_nothing_and_raises_nothing() -> None:
     assert score_of(losses(0.0), PointCounts(in_cluster=0), 1.0) == 0.5
 
 
-@pytest.mark.parametrize(("prompt_score", "same_as"), [(-2.0, 0.0), (250.0, 1.0)])
+@pytest.mark.parametrize(("prompt_score", "same_as"), [(-2.0, 0.0), (250.0, 1.0), (float("nan"), 0.0)])
 def test_scores_of_prompts_are_cut_to_a_share(prompt_score: float, same_as: float) -> None:
     points = PointCounts(in_cluster=50)
     assert score_of(losses(0.2), points, prompt_score) == score_of(losses(0.2), points, same_as)

@@ -97,7 +97,7 @@ def weigh(
     core = outline < _CORE_M
     ring = (outline < _RING_M) & ~core
     in_core = core.sum(1)
-    sampled = region.found / max(len(region.inside), 1)
+    sampled = region.found_around / max(len(region.around), 1)
 
     errors, _ = edge_errors(parameters, region.box_px, frame.image_size_px, frame.calibration)
     errors = _EDGE_HUBER**2 * (np.sqrt(1 + (errors / _EDGE_HUBER) ** 2) - 1) * use_edges

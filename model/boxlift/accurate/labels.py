@@ -11,6 +11,7 @@ from boxlift.accurate.view import View, region_of
 from boxlift.accurate.weights import EVIDENCE_WEIGHTS
 from boxlift.boxes import Boxes3D
 from boxlift.camera import Floats
+from boxlift.confidence import share_of
 from boxlift.frame import Frame, Hypothesis, ObjectLabel, PointCounts, Result
 from boxlift.heading import facing_away
 from boxlift.object_points import UnusablePrompt, check_prompt
@@ -64,11 +65,11 @@ def _without_points(view: View, index: int, settings: LabellerSettings) -> Objec
         return ObjectLabel(index, prompt, Result.EMPTY_MASK, Result.EMPTY_MASK.value)
     needed = settings.points.min_points
     counts = PointCounts(in_prompt=region.in_prompt, above_ground=region.found)
+    kind = "box" if ids is None else "mask"
     if region.in_prompt < needed:
-        kind = "box" if ids is None else "mask"
         sentence = Result.TOO_FEW_POINTS.value.format(region=kind, found=region.in_prompt, needed=needed)
         return ObjectLabel(index, prompt, Result.TOO_FEW_POINTS, sentence, points=counts)
-    sentence = Result.NO_OBJECT_POINTS.value.format(initial=region.in_prompt, needed=needed)
+    sentence = Result.NO_OBJECT_POINTS.value.format(region=kind, initial=region.in_prompt, needed=needed)
     return ObjectLabel(index, prompt, Result.NO_OBJECT_POINTS, sentence, points=counts)
 
 
@@ -98,7 +99,7 @@ def _told(view: View, decision: Decision, settings: LabellerSettings) -> ObjectL
         result=Result.FITTED,
         sentence=Result.FITTED.value,
         box=boxes[chosen : chosen + 1],
-        score=likely * min(max(prompt.score, 0.0), 1.0),
+        score=likely * share_of(prompt.score),
         iou_probability=(likely, min(likely, strict)),
         flags=_flags(view, decision, counts, fixed=fixed),
         losses=decision.losses[chosen],

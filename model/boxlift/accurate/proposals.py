@@ -53,24 +53,24 @@ def find_clusters(view: View, region: Region, settings: RepairSettings) -> list[
         return []
     points = view.points_cam[rows] * np.array([1.0, _VERTICAL_SCALE, 1.0])
     range_m = float(np.median(np.hypot(points[is_inside, 0], points[is_inside, 2])))
-    clusters: list[Cluster] = []
-    seen: set[bytes] = set()
+    likeliest: dict[bytes, Cluster] = {}
     for scale in settings.cluster_scales:
         radius_m = float(np.clip((_RADIUS_M + _RADIUS_PER_M * range_m) * scale, *_RADIUS_LIMITS_M))
         labels = _dbscan(points, radius_m)
         for label in range(labels.max() + 1):
             member = labels == label
             inside = rows[member & is_inside]
-            if len(inside) < _CORE_POINTS or inside.tobytes() in seen:
+            if len(inside) < _CORE_POINTS:
                 continue
-            seen.add(inside.tobytes())
             left, right = _extent(view.pixels[inside, 0])
             span = (right - left) / max(region.width_px, 1.0)
             share = len(inside) / is_inside.sum()
             likeness = span * (len(inside) / member.sum()) * np.sqrt(min(1.0, 2 * share))
-            clusters.append(Cluster(inside, float(likeness)))
-    clusters.sort(key=lambda cluster: -cluster.likeness)
-    return clusters[: settings.max_clusters]
+            known = likeliest.get(inside.tobytes())
+            if known is None or known.likeness < likeness:
+                likeliest[inside.tobytes()] = Cluster(inside, float(likeness))
+    ordered = sorted(likeliest.values(), key=lambda cluster: -cluster.likeness)
+    return ordered[: settings.max_clusters]
 
 
 def _dbscan(points: Floats, radius_m: float) -> NDArray[np.intp]:

@@ -83,7 +83,7 @@ class Region:
     inside: (M,) a sample of the object-high points in the prompt, those claimed by nearer objects left
     out; a prompt that the border cuts goes on beyond it. inside_image: (M,) which of those the camera saw.
     around: (K,) likewise, the surroundings with it. around_inside: (K,) which of those lie in the prompt.
-    found: points in the prompt before sampling.
+    in_prompt: points in it of any height. found, found_around: before sampling.
     """
 
     box_px: Floats
@@ -95,6 +95,7 @@ class Region:
     around_inside: NDArray[np.bool_]
     in_prompt: int
     found: int
+    found_around: int
 
     @property
     def width_px(self) -> float:
@@ -120,7 +121,7 @@ def region_of(view: View, index: int, claimed: NDArray[np.bool_], height_m: floa
     near = view.within(low - margin, high + margin)
     inside, around = np.flatnonzero(in_box & objects), np.flatnonzero(near & objects)
     rng = np.random.default_rng(seed_of(frame.name, index))
-    found = len(inside)
+    found, found_around = len(inside), len(around)
     inside, around = _sample(inside, _MAX_INSIDE, rng), _sample(around, _MAX_AROUND, rng)
     columns, rows = view.pixels[inside].T
     inside_image = (columns >= 0) & (columns < size[0]) & (rows >= 0) & (rows < size[1])
@@ -134,6 +135,7 @@ def region_of(view: View, index: int, claimed: NDArray[np.bool_], height_m: floa
         around_inside=in_box[around],
         in_prompt=int(in_box.sum()),
         found=found,
+        found_around=found_around,
     )
 
 

@@ -20,9 +20,8 @@ EVIDENCE_WEIGHTS = {
     "misfit": 4.0,
 }
 
-# From benchmarks/calibration.py: drive 0009 of KITTI and generated scenes; in the order of
-# probability.FEATURES.
+# As benchmarks/calibration.py prints them; in the order of probability.FEATURES.
 PROBABILITY_WEIGHTS = {
-    0.5: (1.91, -1.35, -1.3, -0.23, -2.56, -11.31, 0.19, 0.8, 0.93, 0.05, -1.78),
-    0.7: (-1.3, -1.08, -1.56, 0.52, 2.66, -5.81, 0.17, 0.02, 0.75, 0.55, -2.31),
+    0.5: (-0.04, -1.23, -0.95, 1.80, -5.24, -1.23, 0.44, 0.51, 0.52, -0.20, -1.89),
+    0.7: (-3.45, -1.22, -0.63, 1.46, -2.86, -0.47, 0.38, 0.37, 0.99, 0.44, -2.84),
 }

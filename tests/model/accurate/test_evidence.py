@@ -102,7 +102,9 @@ def test_the_exact_box_costs_nothing_by_prompt_and_priors() -> None:
     evidence = weighed(upright(outline_points(CAR)), CAR, prompt_of(CAR))
     for name in ("sides", "vertical", "length", "width", "height", "ground", "misfit"):
         assert getattr(evidence, name)[0] == pytest.approx(0, abs=0.01), name
-    assert evidence.on[0] == 1
+    # Points on the sides that the sensor cannot see would have been seen through the body.
+    assert evidence.on[0] > 0.5
+    assert evidence.on[0] + evidence.through[0] == pytest.approx(1)
     assert evidence.contained[0] == 1
     assert evidence.spill[0] == 0
     assert evidence.span[0] == pytest.approx(np.log(0.95), abs=0.06)
@@ -161,13 +163,7 @@ def test_a_half_turn_changes_nothing() -> None:
     "count",
     [
         100,
-        pytest.param(
-            2000,
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="counted among 320 points of the surroundings, scaled as if among 160",
-            ),
-        ),
+        2000,
     ],
 )
 def test_counts_are_of_all_points_not_of_the_sample(count: int) -> None:

