@@ -20,6 +20,8 @@ _SIDE_M, _BEHIND_M, _AHEAD_M = 60.0, 4.0, 88.0
 # A lowest point this far above its neighbours' cone is still ground; this far off a local plane it is not.
 _CONE_SLACK_M = 0.1
 _PLANE_SLACK_M = 0.15
+# What rises higher than this within a cell is not only ground.
+_FLAT_M = 0.4
 _CONE_REACH_CELLS = 4
 # A point may lie this far off the first plane, and this much more per metre of range, to be ground at all.
 _OFF_PLANE_M, _OFF_PLANE_PER_M = 0.6, 0.06
@@ -72,10 +74,15 @@ def fit_surface(points_cam: Floats, above_plane_m: Floats, settings: GroundSetti
     """The ground under (N, 3) points whose heights (N,) above a first plane are given."""
     cell = settings.cell_m
     shape = (round(2 * _SIDE_M / cell), round((_BEHIND_M + _AHEAD_M) / cell))
-    lowest = _lowest_per_cell(points_cam, above_plane_m, cell, shape)
+    lowest, highest = _heights_per_cell(points_cam, above_plane_m, cell, shape)
     seen = np.isfinite(lowest)
     low = np.where(seen, lowest, 0.0)
-    is_ground = seen & (lowest <= _cone(lowest, settings.max_slope * cell) + _CONE_SLACK_M)
+    # Where beams are far apart the lowest point of a cell may be on a body: those reach up.
+    is_ground = (
+        seen
+        & (highest - lowest < _FLAT_M)
+        & (lowest <= _cone(lowest, settings.max_slope * cell) + _CONE_SLACK_M)
+    )
     surface = np.zeros(shape)
     for _ in range(_ROUNDS):
         surface = _local_planes(low, is_ground)
@@ -83,16 +90,20 @@ def fit_surface(points_cam: Floats, above_plane_m: Floats, settings: GroundSetti
     return GroundSurface(surface, _window_sums(is_ground[None].astype(np.float64), 1)[0] > 0, cell)
 
 
-def _lowest_per_cell(points_cam: Floats, above_m: Floats, cell: float, shape: tuple[int, int]) -> Floats:
-    """(X, Z) the lowest height in each cell, infinite where there is none."""
+def _heights_per_cell(
+    points_cam: Floats, above_m: Floats, cell: float, shape: tuple[int, int]
+) -> tuple[Floats, Floats]:
+    """(X, Z) the lowest and the highest height in each cell, infinite where there is none."""
     x, z = points_cam[:, 0], points_cam[:, 2]
     reach = _OFF_PLANE_M + _OFF_PLANE_PER_M * np.hypot(x, z)
     near = (np.abs(x) < _SIDE_M) & (z > -_BEHIND_M) & (z < _AHEAD_M) & (np.abs(above_m) < reach)
     column = ((x[near] + _SIDE_M) / cell).astype(np.intp).clip(0, shape[0] - 1)
     row = ((z[near] + _BEHIND_M) / cell).astype(np.intp).clip(0, shape[1] - 1)
-    lowest = np.full(shape[0] * shape[1], np.inf)
-    np.minimum.at(lowest, column * shape[1] + row, above_m[near])
-    return lowest.reshape(shape)
+    index, heights = column * shape[1] + row, above_m[near]
+    lowest, highest = np.full(shape[0] * shape[1], np.inf), np.full(shape[0] * shape[1], -np.inf)
+    np.minimum.at(lowest, index, heights)
+    np.maximum.at(highest, index, heights)
+    return lowest.reshape(shape), highest.reshape(shape)
 
 
 def _cone(lowest: Floats, rise_per_cell: float) -> Floats:

@@ -32,7 +32,7 @@ from boxlift.stage_times import StageTimes
 # Object points reach this much above the class's height, as roof racks and slopes do.
 _ABOVE_M = 0.2
 # What lies this close around a chosen box belongs to it.
-_CLAIM_M = 0.15
+_CLAIM_M = 0.05
 # Points this close to a proposal are its object-LiDAR-points.
 _FIT_REACH_M = 0.5
 _FIT_POINTS = 3
