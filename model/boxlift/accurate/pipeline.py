@@ -44,6 +44,8 @@ _SCOUT_STRIDE = 2
 # Boxes may overlap by this share of the smaller one's area: prompts and sizes are not exact.
 _MAY_OVERLAP = 0.05
 _EXCLUSION_ROUNDS = 4
+# Worse than any loss.
+_NO_FIT = 1e3
 
 
 @dataclass(frozen=True)
@@ -240,7 +242,7 @@ def _weigh_all(
         losses = tuple(None if fit is None else fit.losses for fit in solutions[rows])
         energy = evidence.energy(EVIDENCE_WEIGHTS)
         if repairs.choose == "loss":
-            energy = np.array([np.inf if loss is None else loss.total for loss in losses])
+            energy = np.array([_NO_FIT if loss is None else loss.total for loss in losses])
         decisions.append(
             Decision(
                 index=item.index,

@@ -111,7 +111,7 @@ def test_a_car_behind_another_gets_its_own_points() -> None:
     assert decisions[1].region.may_hide
     view = View.of(frame_of([front, back]), ACCURATE.ground)
     depth_m = view.points_cam[decisions[1].region.inside][:, 2]
-    assert np.mean(depth_m > 15) > 0.95
+    assert np.mean(depth_m > 15) > 0.9
     unclaimed = decided(frame_of([front, back]), repaired(claim=False))
     depth_m = view.points_cam[unclaimed[1].region.inside][:, 2]
     assert np.mean(depth_m > 15) < 0.8
