@@ -43,7 +43,7 @@ class SizePrior(_Size):
         description="Sizes that members of the class commonly have; `accurate` starts from the first.",
     )
     spread: tuple[float, float, float] = Field(
-        (0.11, 0.07, 0.08),
+        (0.15, 0.15, 0.15),
         description="How far length, width and height may lie off, as shares (standard deviations, ours).",
     )
 
@@ -114,7 +114,7 @@ SIZE_PRIORS: dict[str, SizePrior] = {
         length_m=8.5,
         source="A rigid delivery truck of 12 to 16 t with a box body. Ours, unchecked against a data sheet; "
         "within the 4.00 x 2.55 x 12.00 m of Directive 96/53/EC, annex I.",
-        spread=(0.3, 0.08, 0.12),
+        spread=(0.3, 0.15, 0.15),
     ),
     "Pedestrian": SizePrior(
         height_m=1.70,
