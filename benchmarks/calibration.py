@@ -1,6 +1,6 @@
 """Fit the calibrated probabilities of the preset accurate, on generated scenes only.
 
-    python benchmarks/calibration.py [--frames 30]
+    python benchmarks/calibration.py [--frames 60]
 
 Logistic regression of "3D IoU above .5" (and .7) on the evidence of the chosen boxes, with the prompts of
 the generated labels. Prints the table of model/boxlift/accurate/weights.py. How reliable the probabilities
@@ -27,7 +27,7 @@ from boxlift.settings import ACCURATE
 
 # Seeds of neither the tests nor other benchmarks.
 _FIRST_SEED = 8_000
-_STEPS, _RATE, _RIDGE = 2_000, 0.02, 1e-2
+_STEPS, _RATE, _RIDGE = 4_000, 0.02, 1e-3
 
 
 def outcomes_of(generated: GeneratedFrame) -> Iterator[tuple[Floats, float]]:
@@ -60,7 +60,7 @@ def fit_logistic(features: Floats, outcome: Floats) -> Floats:
 def main() -> None:
     """Label, fit, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--frames", type=int, default=30, help="frames per rig")
+    parser.add_argument("--frames", type=int, default=60, help="frames per rig")
     count = parser.parse_args().frames
     torch.set_num_threads(1)
     outcomes = [

@@ -7,6 +7,7 @@ the surface. All heights are above a plane that was fitted before: what remains 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,11 +131,12 @@ def _local_planes(low: Floats, is_ground: NDArray[np.bool_]) -> Floats:
         [weight, x * weight, z * weight, y, x * x * weight, x * z * weight, z * z * weight, x * y, z * y]
     )
     surface = np.full(low.shape, np.nan)
+    sums_over = _running_sums(moments, _WINDOWS[-1])
     for window in _WINDOWS:
         missing = np.isnan(surface)
         if not missing.any():
             break
-        sums = _window_sums(moments, window)
+        sums = sums_over(window)
         needed = min(_ENOUGH_CELLS, 0.3 * (2 * window + 1) ** 2) if window < _WINDOWS[-1] else 1
         here = missing & (sums[0] >= needed)
         n, sx, sz, sy, sxx, sxz, szz, sxy, szy = sums[:, here]
@@ -149,12 +151,23 @@ def _local_planes(low: Floats, is_ground: NDArray[np.bool_]) -> Floats:
 
 
 def _window_sums(layers: Floats, reach: int) -> Floats:
-    """(L, X, Z) -> (L, X, Z) sums over the square of `reach` cells to each side, by running sums."""
-    for axis in (1, 2):
-        widths = [(0, 0)] * 3
-        widths[axis] = (reach + 1, reach)
-        running = np.pad(layers, widths).cumsum(axis=axis)
-        size = layers.shape[axis]
-        high = np.take(running, np.arange(2 * reach + 1, 2 * reach + 1 + size), axis=axis)
-        layers = high - np.take(running, np.arange(size), axis=axis)
-    return layers
+    """(L, X, Z) -> (L, X, Z) sums over the square of `reach` cells to each side."""
+    return _running_sums(layers, reach)(reach)
+
+
+def _running_sums(layers: Floats, most: int) -> Callable[[int], Floats]:
+    """Sums of (L, X, Z) over squares of up to `most` cells to each side, from one table of running sums."""
+    margin = ((0, 0), (most + 1, most), (most + 1, most))
+    table = np.pad(layers, margin).cumsum(axis=1).cumsum(axis=2)
+    columns, rows = layers.shape[1:]
+
+    def sums(reach: int) -> Floats:
+        low, high = most - reach, most + reach + 1
+        left, right = slice(low, low + columns), slice(high, high + columns)
+        near, far = slice(low, low + rows), slice(high, high + rows)
+        total: Floats = (
+            table[:, right, far] - table[:, left, far] - table[:, right, near] + table[:, left, near]
+        )
+        return total
+
+    return sums

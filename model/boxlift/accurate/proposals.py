@@ -100,7 +100,7 @@ def propose(
     places: list[tuple[float, float, float]] = []
     for cluster in clusters:
         points_xz = lower_half(view, cluster.rows)
-        points_xz = points_xz[:: max(1, len(points_xz) // sample_count)]
+        points_xz = points_xz[:: -(-len(points_xz) // sample_count)]
         for direction in main_directions(points_xz, settings.closeness):
             for yaw in (direction, direction + _QUARTER) if settings.perpendicular else (direction,):
                 places += _placements(points_xz, yaw, lwh_m, sensor_xz, either_end=region.may_hide)
