@@ -39,10 +39,12 @@ serve: $(READY)
 bench: $(READY)
 	$(BIN)/python benchmarks/fit.py
 	$(BIN)/python benchmarks/ablation.py
-	$(BIN)/python benchmarks/accurate.py
+	$(BIN)/python benchmarks/accurate.py --sequences
+	$(BIN)/python benchmarks/scaled_world.py
 	$(BIN)/python benchmarks/presets.py
 	$(BIN)/python benchmarks/rig_check.py
 	$(BIN)/python benchmarks/evaluator.py
+	$(BIN)/python benchmarks/label.py
 	$(BIN)/python benchmarks/label_http.py
 
 clean:

@@ -2,8 +2,7 @@
 
 Rays follow the beam model of range finders (Thrun, Burgard and Fox, "Probabilistic Robotics", 2005,
 section 6.3): a ray ends on the box, falls short of it, goes through it (strong evidence against it), or
-misses it. The weights were fitted to generated scenes only, whose truth is exact: see
-benchmarks/evidence_weights.py. No real frame had a part in them.
+misses it. weights.py says where the weights come from.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
 """Numbers of the evidence, and where they come from."""
 
-# Rounded from what benchmarks/evidence_weights.py fits to generated scenes, with two exceptions. Generated
-# prompts are exact, and so `behind` (rays that miss the box within the prompt) is worth less here than there.
-# Generated cars keep their distance, and so `contained` is worth nothing there; it is ours. No labelled
-# real frame had a part in the fit; the rounded table was checked on real drives. `sides` and `vertical` (.1
-# there), `ground` and `short` (nothing there) were raised by hand after looking at the worst boxes of the
-# development frames: a car that the prompt's edges, the ground and the points before it speak against.
+# Rounded from what benchmarks/evidence_weights.py fits to generated scenes, but for these:
+# - behind (rays that miss the box within the prompt) is worth less here, as generated prompts are exact;
+# - contained is worth nothing there, as generated cars keep their distance; ours;
+# - sides and vertical (.1 there), ground and short (nothing there) were raised after looking at the worst
+#   boxes of the development frames: cars that the prompt's edges, the ground and the points before them
+#   speak against.
+# No labelled real frame had a part in a fit; what was set by hand was checked on real drives.
 EVIDENCE_WEIGHTS = {
     "sides": 0.3,
     "vertical": 0.3,
