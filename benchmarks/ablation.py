@@ -120,6 +120,7 @@ def accurate_rows() -> list[Row]:
         "no perpendicular": {"perpendicular": False},
         "no placement by prompt": {"prompt_placement": False},
         "2 fits": {"fits": 2},
+        "6 fits": {"fits": 6},
         "12 fits": {"fits": 12},
         "chosen by loss": {"choose": "loss"},
         "edges not compared": {"edges": False},

@@ -176,7 +176,7 @@ class RepairSettings(_Settings):
     prompt_placement: bool = Field(
         True, description="Also try where a box of the class's height fills the prompt."
     )
-    fits: int = Field(6, ge=1, le=50, description="Hypotheses per object that are fitted.")
+    fits: int = Field(4, ge=1, le=50, description="Hypotheses per object that are fitted.")
     choose: Literal["evidence", "loss"] = Field(
         "evidence", description="Choose by all evidence, or by the loss of the fit alone."
     )
