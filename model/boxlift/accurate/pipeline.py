@@ -38,7 +38,7 @@ _FIT_REACH_M = 0.5
 _FIT_POINTS = 3
 # Points in the uppermost fifth are inside the outline seen from above (windows, roof).
 _OUTLINE_SHARE = 0.8
-_SCOUT_STEPS, _POLISH_STEPS = 3, 8
+_SCOUT_STEPS, _POLISH_STEPS = 3, 6
 # Scouts look at every second point.
 _SCOUT_STRIDE = 2
 # Boxes may overlap by this share of the smaller one's area: prompts and sizes are not exact.

@@ -22,7 +22,7 @@ _CROWD = 600
 # Pairs of points this far apart tell directions; nearer ones tell noise, farther ones another face.
 _PAIR_M = (0.3, 3.5)
 _DIRECTION_BINS = 36
-_CLOSENESS_STEPS = 60
+_CLOSENESS_STEPS = 45
 _CLOSENESS_FLOOR_M = 0.05
 _SAME_DIRECTION_RAD = 0.08
 # This share of the points at either end does not count for their extent.

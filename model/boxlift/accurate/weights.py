@@ -1,7 +1,8 @@
 """Numbers of the evidence, and where they come from."""
 
 # Rounded from what benchmarks/evidence_weights.py fits to generated scenes, but for these:
-# - behind (rays that miss the box within the prompt) is worth less here, as generated prompts are exact;
+# - behind (rays that miss the box within the prompt) is worth half of what it is there, where prompts are
+#   exact; through several times as much, as real cars hide behind more than cars;
 # - contained is worth nothing there, as generated cars keep their distance; ours;
 # - sides and vertical (.1 there), ground and short (nothing there) were raised after looking at the worst
 #   boxes of the development frames: cars that the prompt's edges, the ground and the points before them
