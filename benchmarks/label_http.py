@@ -27,7 +27,7 @@ from boxlift.datasets.source import load_prompts, open_source
 from boxlift.errors import DatasetError
 from boxlift.frame import Frame
 from boxlift.labeller import Labeller
-from boxlift.settings import preset
+from boxlift.settings import DEFAULT_PRESET, preset
 from boxlift_client.label_request import Form, form_of_frame
 from boxlift_client.service_process import running_service
 
@@ -79,7 +79,7 @@ def main() -> None:
     )
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--prompts", default="label_2")
-    parser.add_argument("--preset", default="paper")
+    parser.add_argument("--preset", default=DEFAULT_PRESET)
     parser.add_argument("--objects", type=int, default=5)
     parser.add_argument("--frames", type=int, default=5)
     parser.add_argument("--repeats", type=int, default=30)
