@@ -59,8 +59,9 @@ _CARS = (
         1.49,
         1.69,
         4.03,
-        "Fiat Grande Punto (2005): 1490 x 1687 x 4030 mm (Wikipedia, 'Fiat Punto'); a Renault Clio III has "
-        "1497 x 1720 x 4027 mm.",
+        "Fiat Grande Punto (2005): 4.03 m long, 1.49 m high, 1.68 m wide (motorlegend.com and MotorBox, at "
+        "the presentation; 1.69 is ours, after an unchecked 1687 mm); a Renault Clio III has 4.0 m, 1.49 m "
+        "and 1.71 m (motorlegend.com).",
     ),
     _template(
         "supermini",
