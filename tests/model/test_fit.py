@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -117,3 +119,14 @@ def test_neighbours_in_a_batch_do_not_change_an_answer(fit: FitSettings) -> None
 
 def test_no_problems_no_solutions() -> None:
     assert fit_boxes([], PAPER.fit, PAPER.loss, pad_to=100) == []
+
+
+def test_a_search_around_a_start_stays_within_its_reach_and_finds_the_minimum_there() -> None:
+    item = problem((2.0, 15.0), -1.2)
+    (everywhere,) = fit_boxes([item], FitSettings(), PAPER.loss, 100)
+    near = FitSettings(grid_steps=4, reach_m=1.0, beam_width=16, levels=6)
+    (found,) = fit_boxes([replace(item, start_xz=everywhere.center_xz + 0.6)], near, PAPER.loss, 100)
+    assert found.losses.total == pytest.approx(everywhere.losses.total, rel=0.02)
+    far_away = everywhere.center_xz + 10.0
+    (elsewhere,) = fit_boxes([replace(item, start_xz=far_away)], near, PAPER.loss, 100)
+    assert np.abs(elsewhere.center_xz - far_away).max() < 1.3

@@ -21,7 +21,15 @@ from boxlift.accurate.parameters import (
     Z,
     to_box_frame,
 )
-from boxlift.accurate.polish import GROUND_M, SizePull, edge_errors, outline_distance
+from boxlift.accurate.polish import (
+    GROUND_M,
+    INSIDE_M,
+    OUTSIDE_M,
+    POINT_CAP,
+    SizePull,
+    edge_errors,
+    outline_distance,
+)
 from boxlift.accurate.view import Region, View
 from boxlift.camera import Floats
 
@@ -32,7 +40,6 @@ _BODY = 0.6
 _ON_M, _CORE_M, _RING_M = 0.2, 0.15, 0.6
 _DEEP_M = 0.8
 _EDGE_HUBER = 2.0
-_OUTSIDE_M, _INSIDE_M, _POINT_CAP = 0.07, 0.3, 9.0
 _PRIOR_CAUCHY = 2.0
 
 
@@ -104,8 +111,8 @@ def weigh(
     off_ground = (parameters[:, BOTTOM] - view.ground.y_at(parameters[:, X], parameters[:, Z])) / GROUND_M
     priors = _PRIOR_CAUCHY**2 * np.log1p((np.column_stack([off_size, off_ground]) / _PRIOR_CAUCHY) ** 2)
     distance = outline_distance(parameters, inside_xz)
-    squared = (distance / np.where(distance > 0, _OUTSIDE_M, _INSIDE_M)) ** 2
-    misfit = (_POINT_CAP * squared / (_POINT_CAP + squared) * is_on).sum(1) / is_on.sum(1).clip(1)
+    squared = (distance / np.where(distance > 0, OUTSIDE_M, INSIDE_M)) ** 2
+    misfit = (POINT_CAP * squared / (POINT_CAP + squared) * is_on).sum(1) / is_on.sum(1).clip(1)
     return Evidence(
         sides=errors[:, 0] + errors[:, 2],
         vertical=errors[:, 1] + errors[:, 3],

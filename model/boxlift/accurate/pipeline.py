@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from boxlift.accurate.evidence import Evidence, weigh
 from boxlift.accurate.parameters import BOTTOM, HEIGHT, LENGTH, YAW, X, Z, to_boxes
 from boxlift.accurate.polish import (
-    Freedom,
     SizePull,
     Target,
+    Viewpoint,
     outline_distance,
     point_weights,
     polish,
@@ -85,13 +85,13 @@ def decide(
     """Decisions by prompt number; a usable prompt without any hypothesis has none."""
     times = times or StageTimes()
     repairs = settings.repairs or RepairSettings()
-    freedom = Freedom(
+    viewpoint = Viewpoint(
         view.frame.calibration,
         view.frame.image_size_px,
         use_edges=repairs.edges,
     )
     with times.stage("scout"):
-        scouted = _scout_all(view, usable, freedom, settings, repairs)
+        scouted = _scout_all(view, usable, viewpoint, settings, repairs)
     if not scouted:
         return {}
     with times.stage("fit"):
@@ -106,9 +106,10 @@ def decide(
         )
         solutions = [None if problem is None else next(fits) for problem in problems]
     with times.stage("polish"):
-        boxes = _place(scouted, solutions)
+        target = Target.joined([item.target for item in scouted])
+        boxes = _place(scouted, target, solutions)
         if repairs.polish:
-            boxes = polish(boxes, Target.joined([item.target for item in scouted]), freedom, _POLISH_STEPS)
+            boxes = polish(boxes, target, viewpoint, _POLISH_STEPS)
     with times.stage("evidence"):
         used = [0 if problem is None else len(problem.points_xz) for problem in problems]
         decisions = _weigh_all(view, scouted, boxes, solutions, used, repairs)
@@ -120,7 +121,7 @@ def decide(
 def _scout_all(
     view: View,
     usable: Sequence[int],
-    freedom: Freedom,
+    viewpoint: Viewpoint,
     settings: LabellerSettings,
     repairs: RepairSettings,
 ) -> list[_Scouted]:
@@ -128,7 +129,7 @@ def _scout_all(
     claimed = np.zeros(len(view.points_cam), dtype=np.bool_)
     scouted: list[_Scouted] = []
     for index in _near_to_far(view.frame, usable):
-        found = _scout(view, index, claimed, freedom, settings, repairs)
+        found = _scout(view, index, claimed, viewpoint, settings, repairs)
         if found is None:
             continue
         scouted.append(found)
@@ -146,7 +147,7 @@ def _scout(
     view: View,
     index: int,
     claimed: NDArray[np.bool_],
-    freedom: Freedom,
+    viewpoint: Viewpoint,
     settings: LabellerSettings,
     repairs: RepairSettings,
 ) -> _Scouted | None:
@@ -169,7 +170,7 @@ def _scout(
         worth = weights[some] * _SCOUT_STRIDE
         on_ground = view.ground.is_known(proposals[:, X], proposals[:, Z])
         target = Target.of_one(points_xz[some], worth, region.box_px, size, proposals[:, BOTTOM], on_ground)
-        proposals = polish(proposals, target, freedom, _SCOUT_STEPS)
+        proposals = polish(proposals, target, viewpoint, _SCOUT_STEPS)
     energy = weigh(view, region, proposals, size, use_edges=repairs.edges).energy(EVIDENCE_WEIGHTS)
     hypotheses = distinct(proposals[np.argsort(energy, kind="stable")])[: repairs.fits]
     x, z = hypotheses[:, X], hypotheses[:, Z]
@@ -212,9 +213,8 @@ def _fit_problems(
     return problems
 
 
-def _place(scouted: Sequence[_Scouted], solutions: Sequence[FitSolution | None]) -> Floats:
+def _place(scouted: Sequence[_Scouted], target: Target, solutions: Sequence[FitSolution | None]) -> Floats:
     """(B, 7) all hypotheses of the frame at the minima of their fits, on the ground, of frozen size."""
-    target = Target.joined([item.target for item in scouted])
     boxes = np.concatenate([item.hypotheses for item in scouted])
     boxes[:, LENGTH : HEIGHT + 1] = target.lwh_m
     boxes[:, BOTTOM] = target.bottom_y

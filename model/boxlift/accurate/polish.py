@@ -14,22 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.accurate.parameters import (
-    BOTTOM,
     HEIGHT,
     LENGTH,
     WIDTH,
     YAW,
-    X,
-    Z,
     project_edges,
     to_box_frame,
 )
 from boxlift.camera import Calibration, Floats
 
 # Standard deviations (ours). Points lie inside an outline that mirrors and rounded corners blur.
-_OUTSIDE_M, _INSIDE_M = 0.07, 0.3
+OUTSIDE_M, INSIDE_M = 0.07, 0.3
 # A point never costs more than this many variances: it is of something else (Geman and McClure, 1985).
-_POINT_CAP = 9.0
+POINT_CAP = 9.0
 # All points of an object together weigh as much as this many: their errors are not independent.
 _POINTS_WORTH = 10.0
 # Edges of prompts: this many pixels, and this share of the prompt's size.
@@ -107,16 +104,12 @@ class Target:
 
 
 @dataclass(frozen=True)
-class Freedom:
-    """What the polish knows of the camera, and what it may do.
-
-    use_edges: whether the prompt's edges count. free: which of the seven parameters may move.
-    """
+class Viewpoint:
+    """What the polish knows of the camera; use_edges: whether the prompt's edges count."""
 
     calibration: Calibration
     image_size_px: tuple[int, int]
     use_edges: bool = True
-    free: tuple[int, ...] = (X, Z, YAW, LENGTH, WIDTH, HEIGHT, BOTTOM)
 
 
 def point_weights(points_xz: Floats, radius_m: float) -> Floats:
@@ -152,22 +145,19 @@ def edge_errors(
     return errors, slopes
 
 
-def polish(parameters: Floats, target: Target, freedom: Freedom, steps: int) -> Floats:
+def polish(parameters: Floats, target: Target, viewpoint: Viewpoint, steps: int) -> Floats:
     """(B, 7) -> (B, 7) boxes nearer to their target; a step that does not help is not taken."""
     current = parameters.copy()
     start_yaw = parameters[:, YAW].copy()
-    free = list(freedom.free)
     damping = np.full(len(current), 1e-2)
-    cost, normal, gradient = _linearised(current, start_yaw, target, freedom)
+    cost, normal, gradient = _linearised(current, start_yaw, target, viewpoint)
     for _ in range(steps):
         diagonal = normal.diagonal(axis1=1, axis2=2)
         damped = normal + (damping[:, None] * diagonal + 1e-6)[:, :, None] * np.eye(7)
-        step = np.zeros_like(current)
-        sub = damped[:, free][:, :, free]
-        step[:, free] = -np.linalg.solve(sub, gradient[:, free, None])[..., 0]
+        step = -np.linalg.solve(damped, gradient[..., None])[..., 0]
         moved = current + step.clip(-_LARGEST_STEP, _LARGEST_STEP)
         moved[:, LENGTH : HEIGHT + 1] = moved[:, LENGTH : HEIGHT + 1].clip(_SMALLEST_SIDE_M)
-        new_cost, new_normal, new_gradient = _linearised(moved, start_yaw, target, freedom)
+        new_cost, new_normal, new_gradient = _linearised(moved, start_yaw, target, viewpoint)
         better = new_cost < cost
         current[better], cost[better] = moved[better], new_cost[better]
         normal[better], gradient[better] = new_normal[better], new_gradient[better]
@@ -176,14 +166,14 @@ def polish(parameters: Floats, target: Target, freedom: Freedom, steps: int) -> 
 
 
 def _linearised(
-    parameters: Floats, start_yaw: Floats, target: Target, freedom: Freedom
+    parameters: Floats, start_yaw: Floats, target: Target, viewpoint: Viewpoint
 ) -> tuple[Floats, Floats, Floats]:
     """Cost (B,), normal matrices (B, 7, 7) and gradients (B, 7), robust terms as reweighted squares."""
     point_cost, point_residual, point_slope = _point_terms(parameters, target)
-    edge, edge_slope = edge_errors(parameters, target.box_px, freedom.image_size_px, freedom.calibration)
+    edge, edge_slope = edge_errors(parameters, target.box_px, viewpoint.image_size_px, viewpoint.calibration)
     scaled = (edge / _EDGE_CAUCHY) ** 2
-    edge_weight = freedom.use_edges / (1 + scaled)
-    edge_cost = freedom.use_edges * _EDGE_CAUCHY**2 * np.log1p(scaled).sum(1)
+    edge_weight = viewpoint.use_edges / (1 + scaled)
+    edge_cost = viewpoint.use_edges * _EDGE_CAUCHY**2 * np.log1p(scaled).sum(1)
     prior, prior_scale = _prior_terms(parameters, start_yaw, target)
 
     weighted = edge_slope * edge_weight[..., None]
@@ -205,11 +195,11 @@ def _point_terms(parameters: Floats, target: Target) -> tuple[Floats, Floats, Fl
     beyond_across = np.abs(across) - parameters[:, WIDTH, None] / 2
     is_end = beyond_along > beyond_across
     distance = np.where(is_end, beyond_along, beyond_across)
-    sigma = np.where(distance > 0, _OUTSIDE_M, _INSIDE_M)
+    sigma = np.where(distance > 0, OUTSIDE_M, INSIDE_M)
     squared = (distance / sigma) ** 2
-    cost = (target.weights * _POINT_CAP * squared / (_POINT_CAP + squared)).sum(1)
+    cost = (target.weights * POINT_CAP * squared / (POINT_CAP + squared)).sum(1)
     # Derivative of the capped cost by the squared residual, as a weight of the plain one.
-    scale = np.sqrt(target.weights) * _POINT_CAP / (_POINT_CAP + squared) / sigma
+    scale = np.sqrt(target.weights) * POINT_CAP / (POINT_CAP + squared) / sigma
     cos, sin = np.cos(parameters[:, YAW, None]), np.sin(parameters[:, YAW, None])
     scaled_sign = np.where(is_end, np.sign(along), np.sign(across)) * scale
     half = scale / -2

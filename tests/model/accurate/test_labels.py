@@ -141,6 +141,17 @@ def test_flags_name_what_to_look_at() -> None:
     assert "ground_uncertain" in label.flags
 
 
+def test_a_prompt_that_nothing_supports_is_told_as_no_object() -> None:
+    """A pedestrian as wide as a car: points, edges and size contradict one another."""
+    frame = frame_of(CARS[:1])
+    prompt = replace(frame.prompts[0], category="Pedestrian")
+    (label,) = labelled(replace(frame, prompts=(prompt,))).objects
+    assert label.result is Result.NO_OBJECT
+    assert label.box is None
+    assert label.score == 0
+    assert "looks like a Pedestrian" in label.sentence
+
+
 def test_few_points_are_flagged() -> None:
     frame = frame_of(CARS[:1])
     thin = np.concatenate([frame.points_velo[:6000], frame.points_velo[6000::30]])
