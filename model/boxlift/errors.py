@@ -9,6 +9,7 @@ BoxliftError
 │   ├── LabelFormatError  a label file that does not follow its format
 │   ├── DatasetError      folders or frames that are not there
 │   │   └── NoLidarError  a frame that has everything but points
+│   ├── ModelFileError    a model file that is no ONNX model, or one of another interface
 │   └── OptionsError      settings that do not exist or are out of range
 └── MissingExtraError     a part of boxlift whose dependencies are not installed
 """
@@ -59,6 +60,10 @@ class DatasetError(InputError):
 
 class NoLidarError(DatasetError):
     """A frame has no LiDAR points, so that there is nothing to lift its prompts with."""
+
+
+class ModelFileError(InputError):
+    """A model file is not an ONNX model, lacks what its interface asks for, or fails when it runs."""
 
 
 class OptionsError(InputError):

@@ -19,3 +19,20 @@ def open3d() -> Any:  # Open3D ships no types.
             f"Open3D is installed but a system library is missing ({error}). On Debian or Ubuntu: "
             "apt-get install libusb-1.0-0 libgl1 libegl1 libgomp1 libx11-6"
         ) from None
+
+
+def onnxruntime() -> Any:  # ONNX Runtime ships no types.
+    """The onnxruntime module. Raises MissingExtraError."""
+    return _module("onnxruntime", "detect")
+
+
+def onnx() -> Any:
+    """The onnx module, which builds and checks model files. Raises MissingExtraError."""
+    return _module("onnx", "train")
+
+
+def _module(name: str, extra: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(error.name or name, extra) from None
