@@ -1,0 +1,1 @@
+"""The monocular network in torch: backbones, heads, losses, training and export. Needs the extra `train`."""
