@@ -91,6 +91,9 @@ class Result(Enum):
     NO_OBJECT = (
         "Nothing here looks like a {category}: what the camera and the LiDAR saw disagrees ({reason})."
     )
+    PREDICTED = "The model predicted a box."
+    CLASS_NOT_IN_MODEL = "The model does not know the class {category!r} (it knows {known})."
+    ABSURD_PREDICTION = "What the model gave for this object is no 3D box ({reason})."
 
 
 class RigDoubt(Enum):
@@ -174,7 +177,8 @@ class ObjectLabel:
     """What became of one prompt: a box (`box` has length 1) or, with no box, the sentence why not.
 
     iou_probability: calibrated, that the 3D IoU with the truth exceeds .5 and .7; None in the presets that
-    have none.
+    have none. depth_spread: relative standard deviation of the depth that a model predicted; None where
+    LiDAR gave it.
     """
 
     index: int
@@ -188,6 +192,7 @@ class ObjectLabel:
     points: PointCounts = field(default_factory=PointCounts)
     rejected: tuple[Hypothesis, ...] = ()
     iou_probability: tuple[float, float] | None = None
+    depth_spread: float | None = None
 
 
 @dataclass(frozen=True)

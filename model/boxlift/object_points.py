@@ -84,13 +84,19 @@ def check_prompt(
     prompt: Prompt, index: int, image_size_px: tuple[int, int], sizes: Mapping[str, SizePrior]
 ) -> UnusablePrompt | None:
     """Why a prompt cannot be used whatever the points are, or None."""
+    if prompt.category in sizes:
+        return check_box(prompt, index, image_size_px)
+    result = Result.UNKNOWN_CLASS
+    sentence = result.value.format(category=prompt.category, known=", ".join(sorted(sizes)))
+    return UnusablePrompt(index, result, sentence)
+
+
+def check_box(prompt: Prompt, index: int, image_size_px: tuple[int, int]) -> UnusablePrompt | None:
+    """Why the 2D box of a prompt cannot be used in an image of this size, or None."""
     x1, y1, x2, y2 = prompt.box_px
     width, height = image_size_px
     box = f"({x1:g}, {y1:g}, {x2:g}, {y2:g})"
-    if prompt.category not in sizes:
-        result = Result.UNKNOWN_CLASS
-        sentence = result.value.format(category=prompt.category, known=", ".join(sorted(sizes)))
-    elif not (np.abs(prompt.box_px).max() < _LARGEST_PX and x2 > x1 and y2 > y1):
+    if not (np.abs(prompt.box_px).max() < _LARGEST_PX and x2 > x1 and y2 > y1):
         result = Result.BAD_BOX
         sentence = result.value.format(box=box)
     elif x2 <= 0 or y2 <= 0 or x1 >= width or y1 >= height:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.box_evidence import judge_boxes
-from boxlift.camera import Floats
+from boxlift.camera import Calibration, Floats
 from boxlift.frame import Frame, FrameWarning, RigDoubt
 from boxlift.priors import SizePrior
 from boxlift.seeds import seed_of
@@ -44,7 +44,8 @@ def check_rig(frame: Frame, sizes: Mapping[str, SizePrior]) -> tuple[FrameWarnin
     `sizes` tells how far away an object of a class is that is so many pixels tall. What the mounting of
     camera and LiDAR explains is not said again of view and boxes.
     """
-    camera, prompts = list(_camera_doubts(frame)), list(_prompt_doubts(frame))
+    camera = list(camera_doubts(frame.calibration, frame.image_size_px))
+    prompts = list(_prompt_doubts(frame))
     if len(frame.points_velo) < _ENOUGH_POINTS:
         return (*camera, *prompts)
     mounting = list(_mounting_doubts(frame))
@@ -67,10 +68,10 @@ def _doubt(doubt: RigDoubt, **values: float | str) -> FrameWarning:
     return FrameWarning(doubt, doubt.value.format(**values))
 
 
-def _camera_doubts(frame: Frame) -> Iterator[FrameWarning]:
-    """Is the projection one of an image of this size?"""
-    (width, height), projection = frame.image_size_px, frame.calibration.image_P_cam
-    (focal_x, focal_y), (center_x, center_y) = frame.calibration.focal_px, projection[:2, 2]
+def camera_doubts(calibration: Calibration, image_size_px: tuple[int, int]) -> Iterator[FrameWarning]:
+    """Is the projection one of an image of this size (width, height)?"""
+    width, height = image_size_px
+    (focal_x, focal_y), (center_x, center_y) = calibration.focal_px, calibration.image_P_cam[:2, 2]
     view_deg = 2 * np.rad2deg(np.arctan2(width / 2, focal_x))
     narrowest, widest = _FIELD_OF_VIEW_DEG
     if not (narrowest < view_deg < widest and 0.5 * focal_x < focal_y < 2 * focal_x):

@@ -6,6 +6,9 @@ KITTI text: one `KEY: numbers` a line. Read are the camera's projection (`P2`), 
 
 JSON: {"P2": 3 x 4, "cam_T_velo": 4 x 4} or, in place of the latter, {"R0_rect": 3 x 3,
 "Tr_velo_to_cam": 3 x 4}; optionally "image_size": [width, height] in pixels. Other keys are errors.
+
+Where only the camera counts (`camera_only`, as to find objects in an image), the projection is enough: what
+either format says of a LiDAR is not read, and the calibration has a LiDAR in the camera's place.
 """
 
 from __future__ import annotations
@@ -23,6 +26,8 @@ from boxlift.formats.json_text import finite_number, parse_json
 SUFFIXES = (".txt", ".json")
 
 _LARGEST_IMAGE_SIDE_PX = 65_535
+# x_cam = -y_velo, y_cam = -z_velo, z_cam = x_velo.
+_LIDAR_IN_PLACE_OF_CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 _JSON_KEYS = ("P2", "cam_T_velo", "R0_rect", "Tr_velo_to_cam", "image_size")
 
 
@@ -34,11 +39,13 @@ class ParsedCalibration:
     image_size_px: tuple[int, int] | None = None
 
 
-def parse_calibration(data: bytes | str, field: str = "calib", camera: int = 2) -> ParsedCalibration:
+def parse_calibration(
+    data: bytes | str, field: str = "calib", camera: int = 2, *, camera_only: bool = False
+) -> ParsedCalibration:
     """A calibration file's content -> calibration. What begins with { is JSON, else it is KITTI text.
 
-    `field` is what errors call the file; `camera` the number of KITTI's camera (P0 to P3), for text.
-    Raises CalibrationError that names key, value and remedy.
+    `field` is what errors call the file; `camera` the number of KITTI's camera (P0 to P3), for text;
+    `camera_only` leaves the LiDAR out. Raises CalibrationError that names key, value and remedy.
     """
     if isinstance(data, bytes):
         try:
@@ -48,11 +55,11 @@ def parse_calibration(data: bytes | str, field: str = "calib", camera: int = 2) 
                 field, "the data is not text.", "Give KITTI calibration text or JSON."
             ) from None
     if data.lstrip().startswith("{"):
-        return _parse_json(data, field)
-    return ParsedCalibration(_parse_kitti_text(data, field, camera))
+        return _parse_json(data, field, camera_only)
+    return ParsedCalibration(_parse_kitti_text(data, field, camera, camera_only))
 
 
-def read_calibration(path: Path, camera: int = 2) -> ParsedCalibration:
+def read_calibration(path: Path, camera: int = 2, *, camera_only: bool = False) -> ParsedCalibration:
     """parse_calibration for a file. Raises CalibrationError, also where the file cannot be opened."""
     try:
         data = path.read_bytes()
@@ -60,7 +67,7 @@ def read_calibration(path: Path, camera: int = 2) -> ParsedCalibration:
         raise CalibrationError(
             str(path), f"the file cannot be read ({error.strerror}).", "Check the path."
         ) from None
-    return parse_calibration(data, str(path), camera)
+    return parse_calibration(data, str(path), camera, camera_only=camera_only)
 
 
 def to_kitti_text(calibration: Calibration) -> str:
@@ -77,7 +84,7 @@ def to_kitti_text(calibration: Calibration) -> str:
     )
 
 
-def _parse_kitti_text(text: str, field: str, camera: int) -> Calibration:
+def _parse_kitti_text(text: str, field: str, camera: int, camera_only: bool) -> Calibration:
     lines: dict[str, list[str]] = {}
     for line in text.splitlines():
         words = line.replace(":", " ", 1).split()
@@ -111,6 +118,8 @@ def _parse_kitti_text(text: str, field: str, camera: int) -> Calibration:
 
     projection_keys = (f"P{camera}", f"P_rect_{camera:02d}")
     image_P_cam = matrix(projection_keys, (3, 4))
+    if camera_only:
+        return _camera(image_P_cam, f"{field}.P{camera}")
     rectification = matrix(("R0_rect", "R_rect", "R_rect_00"), (3, 3))
     cam0_from_velo = matrix(("Tr_velo_to_cam", "Tr_velo_cam"), (3, 4))
     return _calibration(
@@ -118,7 +127,7 @@ def _parse_kitti_text(text: str, field: str, camera: int) -> Calibration:
     )
 
 
-def _parse_json(text: str, field: str) -> ParsedCalibration:
+def _parse_json(text: str, field: str, camera_only: bool) -> ParsedCalibration:
     values = parse_json(text, field, CalibrationError)
     if not isinstance(values, dict):
         raise CalibrationError(field, "the JSON is no object.", f"Give an object with {list(_JSON_KEYS)}.")
@@ -151,6 +160,9 @@ def _parse_json(text: str, field: str) -> ParsedCalibration:
         return numbers
 
     image_P_cam = matrix("P2", (3, 4))
+    size = None if "image_size" not in values else _image_size(values["image_size"], f"{field}.image_size")
+    if camera_only:
+        return ParsedCalibration(_camera(image_P_cam, f"{field}.P2"), size)
     by_parts = [key for key in ("R0_rect", "Tr_velo_to_cam") if key in values]
     if "cam_T_velo" in values:
         if by_parts:
@@ -176,7 +188,6 @@ def _parse_json(text: str, field: str) -> ParsedCalibration:
             "Give cam_T_velo (4 x 4), or R0_rect (3 x 3) with Tr_velo_to_cam (3 x 4).",
         )
     calibration = _calibration(image_P_cam, cam_SE3_velo, f"{field}.P2", f"{field}.{lidar_key}")
-    size = None if "image_size" not in values else _image_size(values["image_size"], f"{field}.image_size")
     return ParsedCalibration(calibration, size)
 
 
@@ -200,6 +211,11 @@ def _finite(matrix: NDArray[np.float64], where: str) -> Floats:
     if not np.isfinite(matrix).all():
         raise CalibrationError(where, f"{matrix.tolist()} is not finite.", "Replace NaN and infinity.")
     return matrix
+
+
+def _camera(image_P_cam: Floats, camera_key: str) -> Calibration:
+    """The calibration of a camera alone."""
+    return _calibration(image_P_cam, _LIDAR_IN_PLACE_OF_CAMERA, camera_key, camera_key)
 
 
 def _calibration(image_P_cam: Floats, cam_SE3_velo: Floats, camera_key: str, lidar_key: str) -> Calibration:

@@ -79,13 +79,18 @@ class ObjectDetails(_Details):
     )
     prompt_box_px: tuple[float, float, float, float] = Field(description="x1, y1, x2, y2 of the prompt.")
     prompt_score: float
-    result: str = Field(description="FITTED, or the name of the reason why there is no box.")
+    result: str = Field(description="FITTED, PREDICTED, or the name of the reason why there is no box.")
     sentence: str = Field(description="The result as a sentence.")
     score: float = Field(description="Confidence in the 3D box, 0 without one.")
     iou_probability: tuple[float, float] | None = Field(
         None,
         description="Calibrated probabilities that the 3D IoU with the truth exceeds 0.5 and 0.7; only with "
         "the preset accurate.",
+    )
+    depth_spread: float | None = Field(
+        None,
+        description="Relative standard deviation of the depth that the monocular model predicted; null for "
+        "boxes from LiDAR.",
     )
     flags: tuple[str, ...] = Field(description="What a reviewer should know about the box.")
     box: BoxDetails | None
@@ -166,6 +171,7 @@ def object_details_of(label: ObjectLabel) -> ObjectDetails:
         sentence=label.sentence,
         score=_rounded(label.score),
         iou_probability=_probabilities(label),
+        depth_spread=None if label.depth_spread is None else _rounded(label.depth_spread),
         flags=label.flags,
         box=None if label.box is None else _box(label.box),
         kitti=None if written is None else _kitti(written),
