@@ -151,6 +151,14 @@ class ConsistencySettings(_Settings):
     )
 
 
+class DetectionSettings(_Settings):
+    """Which of a detector's boxes become prompts, where no prompts are given."""
+
+    min_score: float = Field(
+        0.3, ge=0, le=1, description="Detections with a lower score are left out (ours)."
+    )
+
+
 def _over_the_built_in(sizes: dict[str, SizePrior]) -> dict[str, SizePrior]:
     """In the order of names, so that the same sizes have the same fingerprint."""
     return dict(sorted({**SIZE_PRIORS, **sizes}.items()))
@@ -203,6 +211,7 @@ class LabellerSettings(_Settings):
     repairs: RepairSettings | None = Field(
         None, description="Beyond the paper; none in the presets `paper` and `release`."
     )
+    detection: DetectionSettings = DetectionSettings()
     sizes: Annotated[dict[ClassName, SizePrior], AfterValidator(_over_the_built_in)] = Field(
         SIZE_PRIORS,
         validate_default=True,

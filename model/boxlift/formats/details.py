@@ -115,16 +115,20 @@ class FrameDetails(_Details):
     warnings: tuple[WarningDetails, ...] = Field(
         (), description="Doubts about the calibration; labels of a frame that has any may be worthless."
     )
+    model_digest: str | None = Field(
+        None, description="SHA-256 of the file of the detector that found the prompts; null: they were given."
+    )
 
 
-def details_of(labels: FrameLabels) -> FrameDetails:
-    """Labels of a frame -> their details, rounded."""
+def details_of(labels: FrameLabels, model_digest: str | None = None) -> FrameDetails:
+    """Labels of a frame -> their details, rounded. `model_digest` is the detector's, where one was used."""
     return FrameDetails(
         frame=labels.frame_name,
         objects=tuple(object_details_of(label) for label in labels.objects),
         warnings=tuple(
             WarningDetails(name=warning.doubt.name, sentence=warning.sentence) for warning in labels.warnings
         ),
+        model_digest=model_digest,
     )
 
 

@@ -1,0 +1,134 @@
+"""An image in, classes, 2D boxes, scores and perhaps masks out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boxlift.errors import ImageError, ModelFileError
+from boxlift.frame import Prompt
+from boxlift.onnx_model import Interface, OnnxModel, Tensor
+from boxlift.settings import DetectionSettings
+
+DEFAULT_FILE = Path(__file__).parent / "weights" / "nanodet_g.onnx"
+
+_REMEDY = "docs/detectors.md describes what the file of a detector must offer."
+INTERFACE = Interface(
+    inputs=(Tensor("image", "uint8", ("H", "W", 3)),),
+    outputs=(
+        Tensor("boxes_px", "float32", ("N", 4)),
+        Tensor("scores", "float32", ("N",)),
+        Tensor("categories", "int64", ("N",)),
+        Tensor("masks", ("bool", "uint8", "float32"), ("N", "H", "W"), optional=True),
+    ),
+    metadata={"classes": None},
+    remedy=_REMEDY,
+)
+
+# No street holds as many: above it the model has forgotten its NMS, and every box would cost a fit.
+_MOST_DETECTIONS = 1_000
+# As labels are written, so that a detection is what its label says: hundredths of a pixel, four decimals.
+_PIXEL_DECIMALS, _SCORE_DECIMALS = 2, 4
+
+
+@dataclass(frozen=True)
+class Detections:
+    """What a detector sees in one image, the highest score first.
+
+    prompts: boxes lie inside the image and have an area; their classes are the detector's own.
+    instance_ids: (H, W) index in `prompts` + 1 of the object that a pixel belongs to, 0 for none; where
+    masks overlap, the higher score's. None from a detector without masks.
+    """
+
+    prompts: tuple[Prompt, ...]
+    instance_ids: NDArray[np.uint16] | None = None
+
+
+class Detector:
+    """A detector's model file. Threads may share one; equal images give equal detections."""
+
+    def __init__(self, model: OnnxModel) -> None:
+        self._model = model
+        self.class_names = model.class_names()
+
+    @classmethod
+    def open(cls, path: Path | str | None = None, threads: int = 1) -> Detector:
+        """The detector in this package, or the one in the file `path`, computing in `threads` threads.
+
+        Raises ModelFileError where the file is not a detector's, MissingExtraError without ONNX Runtime.
+        """
+        return cls(OnnxModel.open(DEFAULT_FILE if path is None else path, INTERFACE, threads))
+
+    @property
+    def name(self) -> str:
+        """The file's name without its suffix."""
+        return self._model.path.stem
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the file, hexadecimal."""
+        return self._model.digest
+
+    def detect(
+        self, image: NDArray[np.uint8], min_score: float = DetectionSettings().min_score
+    ) -> Detections:
+        """What is in an (H, W, 3) RGB image with at least this score.
+
+        Boxes are clipped to the image; those with nothing inside it are left out. Raises ImageError where
+        the array is no image, ModelFileError where the model fails or its numbers are no detections.
+        """
+        if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
+            raise ImageError(
+                "image", f"the array is {image.dtype} {image.shape}.", "Give uint8 (H, W, 3), RGB."
+            )
+        found = self._model.run({"image": np.ascontiguousarray(image)})
+        boxes_px, scores, categories = (found[name] for name in ("boxes_px", "scores", "categories"))
+        self._check(boxes_px, scores, categories, image)
+        height, width = image.shape[:2]
+        boxes_px = boxes_px.astype(float).clip(0, (width, height, width, height)).round(_PIXEL_DECIMALS)
+        scores = scores.astype(float).round(_SCORE_DECIMALS)
+        kept = np.flatnonzero((scores >= min_score) & (boxes_px[:, 2:] > boxes_px[:, :2]).all(axis=1))
+        if len(kept) > _MOST_DETECTIONS:
+            raise self._error(
+                f"it gives {len(kept)} detections with a score of at least {min_score:g} in one image; "
+                f"{_MOST_DETECTIONS} are possible, after its own non-maximum suppression."
+            )
+        kept = kept[np.argsort(-scores[kept], kind="stable")]
+        prompts = tuple(
+            Prompt(self.class_names[category], (x1, y1, x2, y2), score)
+            for category, (x1, y1, x2, y2), score in zip(
+                categories[kept].tolist(), boxes_px[kept].tolist(), scores[kept].tolist(), strict=True
+            )
+        )
+        return Detections(prompts, _instance_ids(found["masks"], kept) if "masks" in found else None)
+
+    def _check(
+        self, boxes_px: NDArray[Any], scores: NDArray[Any], categories: NDArray[Any], image: NDArray[np.uint8]
+    ) -> None:
+        """Raises ModelFileError for numbers that mean something else than the interface says."""
+        if not (np.isfinite(boxes_px).all() and (boxes_px[:, 2:] >= boxes_px[:, :2]).all()):
+            raise self._error("some of its boxes_px are no x1, y1, x2, y2 with x1 <= x2 and y1 <= y2.")
+        if len(boxes_px) and boxes_px.max() <= 1 and min(image.shape[:2]) > 1:
+            raise self._error("its boxes_px lie between 0 and 1; pixels of the image are needed.")
+        if not ((scores >= 0) & (scores <= 1)).all():
+            raise self._error("some of its scores lie outside 0 to 1; probabilities are needed.")
+        if not ((categories >= 0) & (categories < len(self.class_names))).all():
+            raise self._error(
+                f"some of its categories are no index of the {len(self.class_names)} names in its property "
+                "'classes'."
+            )
+
+    def _error(self, problem: str) -> ModelFileError:
+        return ModelFileError(str(self._model.path), problem, _REMEDY)
+
+
+def _instance_ids(masks: NDArray[Any], kept: NDArray[np.intp]) -> NDArray[np.uint16]:
+    """(N, H, W) masks and the rows that are kept, best first -> (H, W) place among the kept + 1."""
+    instance_ids = np.zeros(masks.shape[1:], np.uint16)
+    for place in range(len(kept) - 1, -1, -1):
+        instance_ids[masks[kept[place]] > 0.5] = place + 1
+    return instance_ids
