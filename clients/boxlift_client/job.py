@@ -9,11 +9,14 @@ from pathlib import Path
 from time import perf_counter
 
 from boxlift.datasets import FrameSource, load_prompts, open_source
-from boxlift.errors import BoxliftError, MissingExtraError, NoLidarError
+from boxlift.errors import BoxliftError, DatasetError, MissingExtraError, NoLidarError
 from boxlift.formats.details import FrameDetails, details_of
-from boxlift.frame import Frame, FrameLabels, Result
+from boxlift.frame import Frame, FrameLabels, Prompt, Result
 from boxlift.settings import ACCURATE, LabellerSettings
 from boxlift_client.label_files import write_label_files
+
+# As `prompts` of a job: what a detector finds in each image.
+DETECTOR = "detector"
 
 
 @dataclass(frozen=True)
@@ -21,15 +24,22 @@ class LabelJob:
     """Where frames and prompts come from, how they are labelled, and where the labels go.
 
     source: a dataset root or folder. out: the labels' folder. prompts: a folder of KITTI text files,
-    inside the source (`label_2`, `det_2d`) or anywhere. masks: a folder of instance masks. A job is
+    inside the source (`label_2`, `det_2d`) or anywhere; or DETECTOR. masks: a folder of instance masks.
+    detector: the file of a detector, for workers on this machine; the one in boxlift where None. A job is
     plain data, so that processes and machines can be handed it.
     """
 
     source: Path
     out: Path
-    prompts: str
+    prompts: str = DETECTOR
     masks: Path | None = None
     settings: LabellerSettings = ACCURATE
+    detector: Path | None = None
+
+    @property
+    def detects(self) -> bool:
+        """Whether the prompts are to be found in the images."""
+        return self.prompts == DETECTOR
 
 
 class Outcome(StrEnum):
@@ -56,7 +66,10 @@ class FrameReport:
 
 
 class FrameWorker:
-    """Labels the frames of a job one by one; `label` is a labeller here or a service elsewhere."""
+    """Labels the frames of a job one by one; `label` is a labeller here or a service elsewhere.
+
+    In a job that detects, it finds the prompts too, in the image of the frame that it is given.
+    """
 
     def __init__(self, job: LabelJob, label: Callable[[Frame], FrameDetails]) -> None:
         self._job = job
@@ -72,10 +85,10 @@ class FrameWorker:
         try:
             frame, outcome, sentence = None, Outcome.LABELLED, ""
             try:
-                frame = self._source.load(name, masks=self._job.masks)
+                frame = self._source.load(name, masks=self._job.masks, with_image=self._job.detects)
             except NoLidarError as error:
                 outcome, sentence = Outcome.SKIPPED, str(error)
-            prompts = load_prompts(self._job.prompts, self._source, name)
+            prompts = self._prompts(name, frame)
             if frame is None:
                 details = details_of(FrameLabels.without_boxes(name, prompts, Result.NO_LIDAR))
             else:
@@ -92,3 +105,15 @@ class FrameWorker:
         results = tuple((item.result, item.sentence) for item in details.objects)
         warnings = tuple((item.name, item.sentence) for item in details.warnings)
         return FrameReport(name, outcome, sentence, results, warnings, seconds=perf_counter() - start)
+
+    def _prompts(self, name: str, frame: Frame | None) -> tuple[Prompt, ...]:
+        """Those on disk; none yet where they are to be found in the image. Raises InputError."""
+        if not self._job.detects:
+            return load_prompts(self._job.prompts, self._source, name)
+        if frame is not None and frame.image is None:
+            raise DatasetError(
+                str(self._source.root / "image_2"),
+                f"frame {name!r} has no image to find objects in.",
+                "Add its image, or give 2D boxes with --prompts.",
+            )
+        return ()

@@ -23,14 +23,18 @@ class LabelAnswer(FrameDetails):
     dropped_points: int = Field(description="Points that were left out: not finite, or beyond 100 km.")
     preset: str = Field(description="Preset that the settings started from.")
     settings_fingerprint: str = Field(description="Changes when any setting of the labeller does.")
-    model_digest: str | None = Field(description="Digest of the detector's weights; null without one.")
     api_version: str = Field(description="Version of the HTTP interface.")
     boxlift_version: str = Field(description="Version of the package.")
 
     @property
     def details(self) -> FrameDetails:
         """What became of every prompt and what the frame warns of, without the rest."""
-        return FrameDetails(frame=self.frame, objects=self.objects, warnings=self.warnings)
+        return FrameDetails(
+            frame=self.frame,
+            objects=self.objects,
+            warnings=self.warnings,
+            model_digest=self.model_digest,
+        )
 
     @property
     def kitti_text(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from boxlift.errors import DatasetError, MissingExtraError, OptionsError
 from boxlift.formats import kitti_label
 from boxlift.formats.kitti_label import KittiObject
 from boxlift.settings import LabellerSettings
+from boxlift_client.job import DETECTOR
 from boxlift_client.label_files import data_path, details_path, read_objects
 
 Picture = NDArray[np.uint8]
@@ -43,11 +45,16 @@ def _objects_on_disk(pred: Path, name: str) -> list[KittiObject]:
 
 
 def draw_new_labels(
-    source: Path, name: str, prompts: str | None, gt: str | None, settings: LabellerSettings
+    source: Path,
+    name: str,
+    prompts: str | None,
+    gt: str | None,
+    settings: LabellerSettings,
+    detector: Path | None = None,
 ) -> Picture:
     """(H, W, 3) RGB: a frame, labelled here with `prompts` where they are given, and the truth of `gt`.
 
-    Raises InputError where a file is missing or cannot be read.
+    prompts and detector: as in a LabelJob. Raises InputError where a file is missing or cannot be read.
     """
     folder = open_source(source)
     truth = load_objects(gt, folder, name) if gt else []
@@ -55,7 +62,13 @@ def draw_new_labels(
         return draw_frame(folder.load(name, with_image=True), None, truth)
     from boxlift.labeller import Labeller
 
-    frame = folder.load(name, load_prompts(prompts, folder, name), with_image=True)
+    frame = folder.load(name, with_image=True)
+    if prompts == DETECTOR:
+        from boxlift.detector import Detector, find_prompts
+
+        frame = find_prompts(frame, Detector.open(detector), settings.detection)
+    else:
+        frame = replace(frame, prompts=load_prompts(prompts, folder, name))
     return draw_frame(frame, Labeller(settings).label(frame), truth)
 
 

@@ -26,7 +26,8 @@ def label_dataset(
     """
     start = perf_counter()
     source = open_source(job.source)
-    find_labels(job.prompts, source)
+    if not job.detects:
+        find_labels(job.prompts, source)
     try:
         for folder in (job.out / "data", job.out / "details"):
             folder.mkdir(parents=True, exist_ok=True)

@@ -11,12 +11,13 @@ import typer
 from boxlift.errors import DatasetError, OptionsError
 from boxlift.formats.size_priors import read_size_priors
 from boxlift.settings import DEFAULT_PRESET, PRESETS, LabellerSettings, preset
+from boxlift_client.cli.detection import DetectorOption, MinScoreOption, with_detection
 from boxlift_client.cli.frames_file import read_frames
+from boxlift_client.job import DETECTOR
 
 if TYPE_CHECKING:
     from boxlift_client.engines import Engine
 
-_DETECTOR = "detector"
 _INTERRUPTED = 130  # as shells count: 128 + SIGINT
 
 
@@ -38,9 +39,11 @@ def label(
         typer.Option(
             metavar="NAME|DIR",
             help="2D boxes: label_2 or det_2d (in the source), or any folder of KITTI text files. "
-            "detector: found in the image; none is installed yet.",
+            "detector: found in each image.",
         ),
-    ] = _DETECTOR,
+    ] = DETECTOR,
+    detector: DetectorOption = None,
+    min_score: MinScoreOption = None,
     masks: Annotated[
         Path | None,
         typer.Option(
@@ -87,14 +90,16 @@ def label(
     from boxlift_client.job import LabelJob
     from boxlift_client.runner import label_dataset
 
-    if prompts == _DETECTOR:
-        raise OptionsError(
-            "prompts", "no detector is installed;", "give --prompts label_2, det_2d or a folder."
-        )
-    settings = _settings(preset_name, size)
+    settings = with_detection(_settings(preset_name, size), prompts, detector, min_score)
     if priors is not None:
         settings = settings.with_sizes(read_size_priors(priors))
-    job = LabelJob(source, out, prompts, None if masks is None else _find_masks(masks, source), settings)
+    if detector is not None and engine == "http":
+        raise OptionsError("detector", "the service has its own;", "leave it out, or use --engine local.")
+    if masks is not None:
+        if prompts == DETECTOR:
+            raise OptionsError("masks", "masks number prompts that are given;", "give --prompts too.")
+        masks = _find_masks(masks, source)
+    job = LabelJob(source, out, prompts, masks, settings, detector)
     chosen_engine = _engine(engine, url, workers)
     names = None if frames is None else read_frames(frames)
     try:

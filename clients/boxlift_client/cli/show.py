@@ -9,6 +9,7 @@ import typer
 
 from boxlift.formats.size_priors import read_size_priors
 from boxlift.settings import DEFAULT_PRESET, PRESETS, preset
+from boxlift_client.cli.detection import DetectorOption, MinScoreOption, with_detection
 
 
 def show(
@@ -26,9 +27,11 @@ def show(
         str | None,
         typer.Option(
             metavar="NAME|DIR",
-            help="label_2, det_2d or a folder: without --pred, label these and draw the boxes.",
+            help="label_2, det_2d, a folder, or detector: without --pred, label these and draw the boxes.",
         ),
     ] = None,
+    detector: DetectorOption = None,
+    min_score: MinScoreOption = None,
     gt: Annotated[
         str | None, typer.Option(metavar="NAME|DIR", help="The truth: label_2, or a folder of KITTI labels.")
     ] = None,
@@ -49,9 +52,9 @@ def show(
     if pred is not None:
         picture = draw_labels_on_disk(source, frame, pred, gt)
     else:
-        settings = preset(preset_name)
+        settings = with_detection(preset(preset_name), prompts, detector, min_score)
         if priors is not None:
             settings = settings.with_sizes(read_size_priors(priors))
-        picture = draw_new_labels(source, frame, prompts, gt, settings)
+        picture = draw_new_labels(source, frame, prompts, gt, settings, detector)
     write_picture(out, picture)
     print(out)

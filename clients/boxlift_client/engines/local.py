@@ -1,4 +1,4 @@
-"""Worker processes on this machine, each with a labeller of its own.
+"""Worker processes on this machine, each with a labeller, and where it is needed a detector, of its own.
 
 Processes also for one worker: whatever takes a worker down (a crash in native code, the kernel short of
 memory) costs that one frame and nothing else.
@@ -11,12 +11,15 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 
+from boxlift.errors import ModelFileError
+from boxlift.formats.details import FrameDetails
+from boxlift.frame import Frame
 from boxlift_client.errors import WorkersCannotStartError
 from boxlift_client.job import FrameReport, FrameWorker, LabelJob, Outcome
 
@@ -98,6 +101,8 @@ def _await_first_worker(pool: ProcessPoolExecutor) -> None:
             "the processes end as soon as they start. Out of memory? A script that labels "
             "needs `if __name__ == '__main__':` around its calls."
         )
+    if isinstance(reason, ModelFileError):
+        raise reason
     if reason is not None:
         raise WorkersCannotStartError(f"The local workers cannot start: {reason}")
 
@@ -122,7 +127,7 @@ def _single_threaded_children() -> Iterator[None]:
 
 
 _worker: FrameWorker | None = None
-_not_ready = "the worker was not initialised."
+_not_ready: str | ModelFileError = "the worker was not initialised."
 
 
 def _start_worker(job: LabelJob, lifeline: Connection) -> None:
@@ -132,15 +137,34 @@ def _start_worker(job: LabelJob, lifeline: Connection) -> None:
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
     try:
         from boxlift.extras import open3d
-        from boxlift.formats.details import details_of
-        from boxlift.labeller import Labeller
 
         open3d()
+        label = _labeller(job)
     except ImportError as error:
         _not_ready = str(error)
-        return
+    except ModelFileError as error:
+        _not_ready = error
+    else:
+        _worker = FrameWorker(job, label)
+
+
+def _labeller(job: LabelJob) -> Callable[[Frame], FrameDetails]:
+    """Frame -> details, with the prompts that it has or, in a job that detects, with those that it finds."""
+    from boxlift.formats.details import details_of
+    from boxlift.labeller import Labeller
+
     labeller = Labeller(job.settings)
-    _worker = FrameWorker(job, lambda frame: details_of(labeller.label(frame)))
+    if not job.detects:
+        return lambda frame: details_of(labeller.label(frame))
+    from boxlift.detector import Detector, find_prompts
+
+    detector = Detector.open(job.detector, threads=1)
+
+    def label(frame: Frame) -> FrameDetails:
+        prompted = find_prompts(frame, detector, job.settings.detection)
+        return details_of(labeller.label(prompted), detector.digest)
+
+    return label
 
 
 def _end_with(lifeline: Connection) -> None:
@@ -149,11 +173,11 @@ def _end_with(lifeline: Connection) -> None:
     os._exit(1)
 
 
-def _why_not_ready() -> str | None:
+def _why_not_ready() -> str | ModelFileError | None:
     return None if _worker else _not_ready
 
 
 def _label_one(name: str) -> FrameReport:
     if _worker is None:
-        return FrameReport(name, Outcome.FAILED, _not_ready)
+        return FrameReport(name, Outcome.FAILED, str(_not_ready))
     return _worker.label_one(name)
