@@ -155,3 +155,19 @@ def test_real_calibrations(kitti_object_root: Path) -> None:
         # KITTI: the colour camera is 6 cm left of the rectified origin, the LiDAR 27 cm behind it.
         assert calibration.camera_center_cam[0] == pytest.approx(-0.06, abs=0.01)
         assert calibration.lidar_center_cam[2] == pytest.approx(-0.28, abs=0.06)
+
+
+def test_a_camera_alone_needs_only_its_projection() -> None:
+    text = b"P2: 700 0 600 45 0 700 180 0.2 0 0 1 0.003\nTr_velo_to_cam: not numbers\n"
+    rows = [[700, 0, 600, 45], [0, 700, 180, 0.2], [0, 0, 1, 0.003]]
+    as_json = json.dumps({"P2": rows, "cam_T_velo": "nowhere", "image_size": [1200, 360]})
+    from_text = parse_calibration(text, camera_only=True)
+    from_json = parse_calibration(as_json, camera_only=True)
+    assert from_json.image_size_px == (1200, 360)
+    for parsed in (from_text, from_json):
+        np.testing.assert_array_equal(parsed.calibration.image_P_cam, rows)
+        np.testing.assert_array_equal(parsed.calibration.velo_to_cam(np.array([[9.0, -2, 1]])), [[2, -1, 9]])
+    with pytest.raises(CalibrationError, match=r"calib\.P2"):
+        parse_calibration(b"P0: 1\n", camera_only=True)
+    with pytest.raises(CalibrationError, match=r"calib\.P2.*singular"):
+        parse_calibration(b"P2: 0 0 0 0 0 0 0 0 0 0 0 0\n", camera_only=True)
