@@ -1,0 +1,86 @@
+"""Trainings by name: the key `task` of a TOML file says which, the rest of the file is its settings."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from pydantic import ValidationError
+
+from boxlift.errors import OptionsError
+from boxlift.network.config import MonocularSettings, Settings, TrainerSettings
+from boxlift.network.task import Task
+
+_REMEDY = "boxlift/network/config.py lists every key and its range."
+
+
+class _TaskSettings(Protocol):
+    @property
+    def trainer(self) -> TrainerSettings: ...
+
+
+@dataclass(frozen=True)
+class TaskKind:
+    """Settings of a training, and how to make the training from them and the run's folder (for caches)."""
+
+    settings: type[Settings]
+    make: Callable[[Any, Path], Task[Any]]
+
+
+def _monocular(settings: MonocularSettings, folder: Path) -> Task[Any]:
+    from boxlift.network.monocular_task import MonocularTask
+
+    return MonocularTask(settings, folder)
+
+
+TASKS: dict[str, TaskKind] = {"monocular": TaskKind(MonocularSettings, _monocular)}
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """A TOML file that was read."""
+
+    name: str
+    settings: _TaskSettings
+    fingerprint: str
+
+    def make_task(self, folder: Path) -> Task[Any]:
+        """The training that the file describes."""
+        return TASKS[self.name].make(self.settings, folder)
+
+
+def read_config(path: Path) -> TrainingConfig:
+    """Read a TOML file; its paths are relative to its folder. Raises OptionsError that names the key."""
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise OptionsError(
+            str(path), f"the file cannot be read ({error.strerror}).", "Check the path."
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise OptionsError(str(path), f"the file is not TOML ({error!s:.120}).", _REMEDY) from None
+    fingerprint = _fingerprint(values)
+    name = values.pop("task", "monocular")
+    if name not in TASKS:
+        raise OptionsError(
+            f"{path.name}.task", f"{name!r:.60} is no task.", f"Choose one of {sorted(TASKS)}."
+        )
+    try:
+        settings: Any = TASKS[name].settings.model_validate(values, context={"folder": path.parent})
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join((path.name, *(str(part) for part in first["loc"])))
+        raise OptionsError(where, f"{first['msg']} (got {first['input']!r:.80}).", _REMEDY) from None
+    return TrainingConfig(name, settings, fingerprint)
+
+
+def _fingerprint(values: dict[str, Any]) -> str:
+    """Changes with any setting but those of the machine, on which a run may go on elsewhere."""
+    trainer = {key: value for key, value in values.get("trainer", {}).items() if key != "machine"}
+    text = json.dumps({**values, "trainer": trainer}, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
