@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from boxlift_client.cli.frames_file import read_frames
+from boxlift.datasets.frames_file import read_frames
 
 
 def evaluate(

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from boxlift.datasets.frames_file import read_frames
 from boxlift.errors import DatasetError, OptionsError
 from boxlift.formats.size_priors import read_size_priors
 from boxlift.settings import DEFAULT_PRESET, PRESETS, LabellerSettings, preset
 from boxlift_client.cli.detection import DetectorOption, MinScoreOption, with_detection
-from boxlift_client.cli.frames_file import read_frames
 from boxlift_client.job import DETECTOR
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The file behind --frames."""
+"""Files that name frames."""
 
 from __future__ import annotations
 
