@@ -102,3 +102,9 @@ def test_points_in_the_image_are_those_in_front() -> None:
     behind = CALIBRATION.cam_to_velo(CALIBRATION.velo_to_cam(frame.points_velo) * -1)
     both = replace(frame, points_velo=np.concatenate([frame.points_velo, behind]))
     assert judge_boxes(both, SIZE_PRIORS) == judge_boxes(frame, SIZE_PRIORS)
+
+
+def test_what_its_detector_doubts_is_not_judged() -> None:
+    wall = np.full(len(RAYS), 16.0)
+    assert judge_boxes(seen(wall, Prompt("Car", BOX, 0.5)), SIZE_PRIORS).judged == 1
+    assert judge_boxes(seen(wall, Prompt("Car", BOX, 0.49)), SIZE_PRIORS).judged == 0
