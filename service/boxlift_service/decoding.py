@@ -9,13 +9,20 @@ from pathlib import PurePath
 import numpy as np
 from numpy.typing import NDArray
 
-from boxlift.errors import CalibrationError, InputError, OptionsError, PointCloudError, PromptError
+from boxlift.errors import (
+    CalibrationError,
+    ImageError,
+    InputError,
+    OptionsError,
+    PointCloudError,
+    PromptError,
+)
 from boxlift.formats.calibration import parse_calibration
 from boxlift.formats.image import decode_instance_ids, image_size
 from boxlift.formats.json_text import parse_json
 from boxlift.formats.point_cloud import decode_points
 from boxlift.formats.prompts import parse_prompts
-from boxlift.frame import Frame
+from boxlift.frame import Frame, Prompt
 from boxlift.settings import DEFAULT_PRESET, LabellerSettings
 from boxlift_service.form import Field, Part
 from boxlift_service.settings import ServiceSettings
@@ -26,7 +33,7 @@ _LONGEST_NAME = 200
 
 @dataclass(frozen=True)
 class LabelRequest:
-    """What POST /label asks for."""
+    """What POST /label asks for; in a request without prompts they are yet to be found in its image."""
 
     frame: Frame
     settings: LabellerSettings
@@ -47,15 +54,16 @@ def label_fields(limits: ServiceSettings) -> dict[str, Field]:
 
 
 def decode_label_request(
-    parts: Mapping[str, Part], limits: ServiceSettings, presets: Mapping[str, LabellerSettings]
+    parts: Mapping[str, Part],
+    limits: ServiceSettings,
+    presets: Mapping[str, LabellerSettings],
 ) -> LabelRequest:
-    """Parts with points, calib and prompts among them -> frame and settings. Raises InputError."""
+    """Parts with points, calib, and prompts or an image among them -> frame and settings.
+
+    Raises InputError.
+    """
     settings = _labeller_settings(parts.get("options"), presets)
-    prompts = parse_prompts(parts["prompts"].data)
-    if len(prompts) > limits.max_prompts:
-        raise PromptError(
-            "prompts", f"there are {len(prompts)} prompts.", f"Give at most {limits.max_prompts} a frame."
-        )
+    prompts = _prompts(parts, limits)
     parsed = parse_calibration(parts["calib"].data)
     size_px = _image_size(parts, parsed.image_size_px, limits)
     decoded = decode_points(parts["points"].data, parts["points"].filename)
@@ -73,6 +81,26 @@ def decode_label_request(
         instance_ids=_instance_ids(parts.get("masks"), limits),
     )
     return LabelRequest(frame, settings, decoded.dropped)
+
+
+def _prompts(parts: Mapping[str, Part], limits: ServiceSettings) -> tuple[Prompt, ...]:
+    """The prompts of the form; none yet where they are to be found in the image."""
+    if "prompts" in parts:
+        prompts = parse_prompts(parts["prompts"].data)
+        if len(prompts) <= limits.max_prompts:
+            return prompts
+        raise PromptError(
+            "prompts", f"there are {len(prompts)} prompts.", f"Give at most {limits.max_prompts} a frame."
+        )
+    if "masks" in parts:
+        raise PromptError("masks", "masks number prompts, and there are none.", "Send the field prompts.")
+    if "image" not in parts:
+        raise ImageError(
+            "image",
+            "without prompts, objects are found in the image, and there is none.",
+            "Send the field image, or prompts.",
+        )
+    return ()
 
 
 def _labeller_settings(part: Part | None, presets: Mapping[str, LabellerSettings]) -> LabellerSettings:

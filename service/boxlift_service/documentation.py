@@ -1,20 +1,11 @@
-"""What OpenAPI says beyond the types: the form of POST /label, examples, and the problems of a route."""
+"""What OpenAPI says beyond the types: the forms of POST /label and /detect, examples, problems of a route."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import boxlift
-from boxlift.formats.details import (
-    BoxDetails,
-    KittiDetails,
-    LossDetails,
-    ObjectDetails,
-    PointDetails,
-)
-from boxlift.settings import ACCURATE, LabellerSettings
+from boxlift.settings import LabellerSettings
 from boxlift_service import problems, timing
-from boxlift_service.answers import API_VERSION, LabelAnswer
 from boxlift_service.problems import Kind, ProblemDetails
 from boxlift_service.request_id import HEADER as REQUEST_ID_HEADER
 
@@ -35,8 +26,8 @@ LABEL_TEXT_EXAMPLE = (
 
 ANSWER_HEADERS: dict[str, Any] = {
     timing.HEADER: {
-        "description": "Milliseconds per stage: receive, queue, decode, rig, ground, points, heading, fit, "
-        "consistency, confidence, encode, total.",
+        "description": "Milliseconds per stage: receive, queue, decode, detect (without prompts), rig, "
+        "ground, points, heading, fit, consistency, confidence, encode, total.",
         "schema": {"type": "string"},
         "example": "receive;dur=2.1, queue;dur=0.1, decode;dur=0.9, ..., total;dur=61.4",
     },
@@ -44,6 +35,16 @@ ANSWER_HEADERS: dict[str, Any] = {
         "description": "The request's own X-Request-ID, or one that was made for it.",
         "schema": {"type": "string"},
     },
+}
+
+DETECT_ANSWER_HEADERS: dict[str, Any] = {
+    timing.HEADER: {
+        "description": "Milliseconds per stage, summed over the images: receive, queue, decode, detect "
+        "(by a detector of one's own), resize, network, encode, total.",
+        "schema": {"type": "string"},
+        "example": "receive;dur=2.1, queue;dur=1.1, decode;dur=11.9, ..., total;dur=81.4",
+    },
+    REQUEST_ID_HEADER: ANSWER_HEADERS[REQUEST_ID_HEADER],
 }
 
 
@@ -68,13 +69,14 @@ def label_request_body() -> dict[str, Any]:
             **text,
             "contentMediaType": "application/json",
             "contentSchema": _prompts_schema(),
-            "description": "What to label; class and box in pixels, score optional. Without prompts a "
-            "detector would be needed.",
+            "description": "What to label; class and box in pixels, score optional. Without prompts, a "
+            "detector finds them in the image.",
             "examples": [_PROMPTS_EXAMPLE],
         },
         "image": {
             **binary,
-            "description": "The camera image, PNG or JPEG. Beside prompts only its size is read.",
+            "description": "The camera image, PNG or JPEG, needed without prompts. Beside prompts only its "
+            "size is read.",
         },
         "masks": {
             **binary,
@@ -119,6 +121,62 @@ def label_request_body() -> dict[str, Any]:
     }
 
 
+def detect_request_body(max_images: int) -> dict[str, Any]:
+    """The requestBody of POST /detect."""
+    text = {"type": "string"}
+    properties = {
+        "image": {
+            "type": "array",
+            "items": {"type": "string", "format": "binary"},
+            "minItems": 1,
+            "maxItems": max_images,
+            "description": "Rectified camera images, PNG or JPEG, each a part of its own. The stem of a "
+            "part's file name is the name of its answer.",
+        },
+        "calib": {
+            "type": "array",
+            "items": text,
+            "minItems": 1,
+            "maxItems": max_images,
+            "description": "The camera: KITTI calibration text with a line P2, or JSON with P2 3 x 4. One "
+            "part for all images, or one for each, in their order. What it says of a LiDAR is not read.",
+            "examples": [["P2: 721.5 0 609.6 44.9 0 721.5 172.9 0.2 0 0 1 0.003"]],
+        },
+        "prompts": {
+            **text,
+            "contentMediaType": "application/json",
+            "contentSchema": {
+                "anyOf": [_prompts_schema(), {"type": "array", "items": _prompts_schema()}],
+            },
+            "description": "The 2D objects to lift, as for POST /label; for several images a list of such "
+            "lists, one per image. Without prompts the objects are found.",
+            "examples": [_PROMPTS_EXAMPLE, f"[{_PROMPTS_EXAMPLE}, []]"],
+        },
+        "min_score": {
+            **text,
+            "description": "Objects that are found with a lower score are left out, a number from 0 to 1; "
+            "given prompts never are. Default: the service's setting min_score.",
+            "examples": ["0.25"],
+        },
+    }
+    schema = {
+        "type": "object",
+        "properties": properties,
+        "required": ["image", "calib"],
+        "additionalProperties": False,
+    }
+    encoding = {
+        "image": {"contentType": _IMAGE_ENCODING},
+        "calib": {"contentType": "text/plain, application/json"},
+        "prompts": {"contentType": "application/json"},
+    }
+    return {
+        "required": True,
+        "description": "Fields as files or as plain text; image and calib may come several times.",
+        "content": {"multipart/form-data": {"schema": schema, "encoding": encoding}},
+    }
+
+
 def _prompts_schema() -> dict[str, Any]:
     prompt = {
         "type": "object",
@@ -157,71 +215,6 @@ def _options_schema() -> dict[str, Any]:
     return placed
 
 
-def with_label_answer_example(document: dict[str, Any]) -> dict[str, Any]:
-    """The OpenAPI document with an example of POST /label's JSON; FastAPI would strip its nulls."""
-    answer = document["paths"]["/label"]["post"]["responses"]["200"]["content"]["application/json"]
-    answer["example"] = _label_answer_example()
-    return document
-
-
-def _label_answer_example() -> dict[str, Any]:
-    """An object that has a box and one that has none."""
-    fitted = ObjectDetails(
-        category="Car",
-        index=0,
-        prompt_box_px=(587.0, 173.3, 614.1, 200.1),
-        prompt_score=0.97,
-        result="FITTED",
-        sentence="A box was fitted.",
-        score=0.8714,
-        flags=(),
-        box=BoxDetails(
-            center_cam=(-0.712, 1.081, 25.1), length_m=4.0, width_m=1.8, height_m=1.6, rotation_y=-1.66
-        ),
-        kitti=KittiDetails(
-            type="Car",
-            truncated=-1,
-            occluded=-1,
-            alpha=-1.63,
-            bbox=(587.0, 173.3, 614.1, 200.1),
-            dimensions=(1.6, 1.8, 4.0),
-            location=(-0.71, 1.88, 25.1),
-            rotation_y=-1.66,
-            score=0.8714,
-        ),
-        losses=LossDetails(geometric=0.0512, ray_tracing=0.0731, center=1.2043, total=0.2447),
-        points=PointDetails(in_prompt=181, above_ground=164, in_cluster=152, used=77),
-        rejected=(),
-    )
-    unusable = ObjectDetails(
-        category="Car",
-        index=1,
-        prompt_box_px=(10.0, 180.0, 16.0, 184.0),
-        prompt_score=0.41,
-        result="TOO_FEW_POINTS",
-        sentence="Too few LiDAR points inside the 2D box (3, at least 10 are needed).",
-        score=0.0,
-        flags=(),
-        box=None,
-        kitti=None,
-        losses=None,
-        points=PointDetails(in_prompt=3, above_ground=0, in_cluster=0, used=0),
-        rejected=(),
-    )
-    answer = LabelAnswer(
-        frame="000123",
-        objects=(fitted, unusable),
-        warnings=(),
-        dropped_points=0,
-        preset=ACCURATE.preset,
-        settings_fingerprint=ACCURATE.fingerprint(),
-        model_digest=None,
-        api_version=API_VERSION,
-        boxlift_version=boxlift.__version__,
-    )
-    return answer.model_dump(mode="json", by_alias=True)
-
-
 _PROBLEM_EXAMPLES = {
     Kind.UNREADABLE_BODY: (None, "The form ends before its last boundary."),
     Kind.NOT_ACCEPTABLE: (None, "The client accepts 'image/png'."),
@@ -229,24 +222,29 @@ _PROBLEM_EXAMPLES = {
     Kind.UNSUPPORTED_MEDIA_TYPE: (None, "The Content-Type is 'application/json'."),
     Kind.INVALID_FIELD: ("points", "none of the 120000 points is finite and within 100 km."),
     Kind.INTERNAL_ERROR: (None, "Request 5f0c failed for a reason that is ours."),
-    Kind.NO_DETECTOR: (None, "no detector is installed."),
+    Kind.WORKER_DIED: (None, "The process that finds objects was lost with this request: ended by SIGKILL."),
+    Kind.MODEL_FAILED: (None, "its output 'scores' has 3 rows, boxes_px 4."),
+    Kind.NO_DETECTOR: (None, "There is no detector (onnxruntime is not installed)."),
     Kind.NOT_READY: (None, "The warm-up has not ended yet."),
 }
 
 
 def problem_responses(*kinds: Kind) -> dict[int | str, dict[str, Any]]:
     """The `responses` of a route that may end in these kinds of problems."""
+    by_status: dict[int | str, list[Kind]] = {}
+    for kind in kinds:
+        by_status.setdefault(kind.status, []).append(kind)
     return {
-        kind.status: {
-            "description": kind.title,
+        status: {
+            "description": "; ".join(kind.title for kind in alike),
             "content": {
                 problems.MEDIA_TYPE: {
                     "schema": ProblemDetails.model_json_schema(),
-                    "example": _problem_example(kind),
+                    "example": _problem_example(alike[0]),
                 }
             },
         }
-        for kind in kinds
+        for status, alike in by_status.items()
     }
 
 

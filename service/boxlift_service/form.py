@@ -1,4 +1,4 @@
-"""multipart/form-data as it streams in: known fields, each once, each within its size.
+"""multipart/form-data as it streams in: known fields, each as often as it may come and within its size.
 
 Starlette's own form parser would spool files to disk, accept any field name and any end of the body;
 this one keeps the parts in memory (the body limit bounds them) and refuses at the first wrong byte.
@@ -30,17 +30,23 @@ class Part:
 
 @dataclass(frozen=True)
 class Field:
-    """A field that a form may have, and how large it may be."""
+    """A field that a form may have, how large each of its parts may be and how many there may be."""
 
     max_bytes: int
     required: bool = False
+    max_parts: int = 1
 
 
 async def read_form(request: Request, fields: Mapping[str, Field]) -> dict[str, Part]:
-    """The parts of a request's form by name.
+    """The parts of a request's form by name, where each of `fields` may come once. Raises as read_parts."""
+    return {name: parts[0] for name, parts in (await read_parts(request, fields)).items()}
+
+
+async def read_parts(request: Request, fields: Mapping[str, Field]) -> dict[str, tuple[Part, ...]]:
+    """The parts of a request's form by name, those of one name in their order.
 
     Raises ProblemError: not multipart (415), malformed (400), a part beyond its size (413), and a field that
-    is unknown, repeated or missing (422).
+    is unknown, missing or comes too often (422).
     """
     reader = _FormReader(_boundary(request), fields)
     try:
@@ -93,20 +99,20 @@ class _FormReader:
         except FormParserError as error:
             raise _unreadable(f"The boundary is refused ({error!s:.120}).") from None
         self._fields = fields
-        self._parts: dict[str, Part] = {}
+        self._parts: dict[str, list[Part]] = {}
         self._complete = False
         self._on_part_begin()
 
     def write(self, chunk: bytes) -> None:
         self._parser.write(chunk)
 
-    def finish(self) -> dict[str, Part]:
+    def finish(self) -> dict[str, tuple[Part, ...]]:
         if not self._complete:
             raise _unreadable("The form ends before its last boundary.")
         for name, field in self._fields.items():
             if field.required and name not in self._parts:
                 raise _invalid(name, f"The form has no field {name!r}.", "Add it.")
-        return self._parts
+        return {name: tuple(parts) for name, parts in self._parts.items()}
 
     def _on_part_begin(self) -> None:
         self._header_name = b""
@@ -138,8 +144,10 @@ class _FormReader:
             raise _invalid(
                 self._name[:60], f"The field {self._name!r:.60} is unknown.", f"Known fields: {known}."
             )
-        if self._name in self._parts:
-            raise _invalid(self._name, f"The field {self._name!r} comes twice.", "Send it once.")
+        most = self._fields[self._name].max_parts
+        if len(self._parts.get(self._name, ())) >= most:
+            often, remedy = ("twice", "once") if most == 1 else (f"{most + 1} times", f"at most {most} times")
+            raise _invalid(self._name, f"The field {self._name!r} comes {often}.", f"Send it {remedy}.")
         if b"filename" in parameters:
             self._filename = parameters[b"filename"].decode("utf-8", "replace")
 
@@ -155,7 +163,7 @@ class _FormReader:
         self._data += memoryview(data)[start:end]
 
     def _on_part_end(self) -> None:
-        self._parts[self._name] = Part(bytes(self._data), self._filename)
+        self._parts.setdefault(self._name, []).append(Part(bytes(self._data), self._filename))
         self._data = bytearray()
 
     def _on_end(self) -> None:

@@ -28,6 +28,8 @@ class Kind(Enum):
     UNSUPPORTED_MEDIA_TYPE = ("unsupported-media-type", 415, "The request body has the wrong media type")
     INVALID_FIELD = ("invalid-field", 422, "A field of the form is missing, unknown or invalid")
     INTERNAL_ERROR = ("internal-error", 500, "The service failed")
+    WORKER_DIED = ("worker-died", 500, "The process that computed the answer ended")
+    MODEL_FAILED = ("model-failed", 500, "The model failed on this input")
     NO_DETECTOR = ("no-detector", 503, "No detector is installed")
     NOT_READY = ("not-ready", 503, "The service is not ready")
 

@@ -37,6 +37,19 @@ class ServiceSettings(BaseModel):
     threads_per_worker: int = Field(
         1, ge=1, le=256, description="CPU threads of torch and Open3D in a worker."
     )
+    model: Path | None = Field(
+        None, description="ONNX file of the monocular model of POST /detect; the one that ships where unset."
+    )
+    detector: Path | None = Field(
+        None,
+        description="ONNX file of the 2D detector, used where no prompts come along; where it is unset, "
+        "POST /label takes the one that ships, and POST /detect what the monocular model finds itself.",
+    )
+    detect_threads: int = Field(2, ge=1, le=256, description="CPU threads of ONNX Runtime.")
+    max_images: int = Field(16, ge=1, le=1024, description="Most images of a POST /detect.")
+    min_score: float = Field(
+        0.0, ge=0, le=1, description="Least score of what POST /detect finds, where a request names none."
+    )
     priors: Path | None = Field(
         None, description="TOML file with sizes per class, laid over the built-in ones; read at the start."
     )

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from model.stand_in_model import stand_in_model
 from service.frames import SmallFrame, small_frame
 from service.running import RunningService, running_service
 
 
 @pytest.fixture(scope="session")
-def service() -> Iterator[RunningService]:
-    """The service on a free port, ready."""
-    with running_service(max_points="100000", max_prompts="50", max_image_pixels="4000000") as running:
+def model_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A monocular model that is made by hand."""
+    return stand_in_model(tmp_path_factory.mktemp("model") / "hand_made.onnx")
+
+
+@pytest.fixture(scope="session")
+def service(model_path: Path) -> Iterator[RunningService]:
+    """The service on a free port, ready, with the hand-made monocular model and the detector that ships."""
+    limits = {"max_points": "100000", "max_prompts": "50", "max_image_pixels": "4000000", "max_images": "4"}
+    with running_service(model=str(model_path), **limits) as running:
         yield running
 
 

@@ -19,6 +19,8 @@ CAM_T_VELO = [[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
 CAR = {"class": "Car", "box": [540, 180, 660, 260], "score": 0.9}
 
 Fields = dict[str, tuple[str | None, bytes]]
+# As Fields, where a field may come several times.
+Parts = list[tuple[str, tuple[str | None, bytes]]]
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,18 @@ class SmallFrame:
             for name, data in fields.items()
             if data is not None
         }
+
+
+def detect_parts(*images: bytes, calib: bytes | None = None, **texts: bytes) -> Parts:
+    """The form of POST /detect; images are named 0.png, 1.png, ..."""
+    parts: Parts = [("image", (f"{index}.png", image)) for index, image in enumerate(images)]
+    parts.append(("calib", (None, calib_json() if calib is None else calib)))
+    return [*parts, *((name, (None, data)) for name, data in texts.items())]
+
+
+def grey_png(value: int = 128, width: int = WIDTH, height: int = HEIGHT) -> bytes:
+    """An image of one colour."""
+    return png(np.full((height, width, 3), value, np.uint8))
 
 
 def small_frame() -> SmallFrame:

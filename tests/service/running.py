@@ -11,10 +11,11 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import httpx
 
-from service.frames import Fields
+from service.frames import Fields, Parts
 
 _START_S = 120.0
 
@@ -30,6 +31,17 @@ class RunningService:
     def label(self, fields: Fields, accept: str = "application/json") -> httpx.Response:
         """POST /label with a form."""
         return self.client.post("/label", files=list(fields.items()), headers={"Accept": accept})
+
+    def detect(self, parts: Parts, accept: str = "application/json") -> httpx.Response:
+        """POST /detect with a form."""
+        return self.client.post("/detect", files=parts, headers={"Accept": accept})
+
+    @property
+    def workers(self) -> list[int]:
+        """Process numbers of the processes that the service started and that have not ended."""
+        listed = Path(f"/proc/{self.process.pid}/task").glob("*/children")
+        children = [int(word) for path in listed for word in path.read_text().split()]
+        return [pid for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
 @contextmanager
@@ -47,7 +59,7 @@ def running_service(**variables: str) -> Iterator[RunningService]:
         try:
             url = _listening_url(process)
             with httpx.Client(base_url=url, timeout=60) as client:
-                _wait_until_ready(client)
+                wait_until_ready(client)
                 yield RunningService(url, process, client)
         finally:
             _stop(process)
@@ -73,7 +85,8 @@ def _listening_url(process: subprocess.Popen[str]) -> str:
     raise RuntimeError(f"the service ended while it started:\n{''.join(lines)}")
 
 
-def _wait_until_ready(client: httpx.Client) -> None:
+def wait_until_ready(client: httpx.Client) -> None:
+    """Return once /readyz says so."""
     end = time.monotonic() + _START_S
     while (response := client.get("/readyz")).status_code != 200:
         if time.monotonic() > end:

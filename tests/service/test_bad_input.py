@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 
 from service.frames import (
     CAR,
+    HEIGHT,
+    WIDTH,
     SmallFrame,
     calib_json,
     calib_text,
@@ -149,14 +151,12 @@ def test_a_text_field_beyond_its_size(service: RunningService, frame: SmallFrame
     assert_problem(service.label(frame.fields(**{field: bytes(5_000_000)})), 413, field, "more than")
 
 
-def test_without_prompts_there_is_no_detector(service: RunningService, frame: SmallFrame) -> None:
-    assert_problem(service.label(frame.fields(prompts=None)), 503, None, "no detector is installed")
-
-
-def test_detect_has_no_detector(service: RunningService) -> None:
-    assert_problem(
-        service.client.post("/detect", files={"image": b"x"}), 503, None, "no detector is installed"
-    )
+def test_without_prompts_an_image_is_needed(service: RunningService, frame: SmallFrame) -> None:
+    assert_problem(service.label(frame.fields(prompts=None)), 422, "image", "without prompts")
+    masks = frame.fields(prompts=None, masks=mask_png(0, 0, 9, 9), image=png(np.zeros((9, 9, 3), np.uint8)))
+    assert_problem(service.label(masks), 422, "masks", "there are none")
+    broken = frame.fields(prompts=None, image=png(np.zeros((HEIGHT, WIDTH, 3), np.uint8))[:-90])
+    assert_problem(service.label(broken), 422, "image", "cannot be decoded")
 
 
 @pytest.mark.parametrize("accept", ["image/png", "application/json;q=0", "application/xml, text/html"])

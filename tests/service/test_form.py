@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from starlette.requests import Request
 from starlette.types import Message
 
-from boxlift_service.form import Field, Part, read_form
+from boxlift_service.form import Field, Part, read_form, read_parts
 from boxlift_service.problems import Kind, ProblemError
 
 FIELDS = {"points": Field(1000, required=True), "name": Field(5)}
@@ -65,3 +65,25 @@ def test_refusals(body: bytes, kind: Kind, field: str | None) -> None:
     with pytest.raises(ProblemError) as caught:
         read([body])
     assert (caught.value.kind, caught.value.field) == (kind, field)
+
+
+def test_a_field_may_come_several_times_in_its_order() -> None:
+    images = b"".join(
+        b'--line\r\nContent-Disposition: form-data; name="image"\r\n\r\n%d\r\n' % number
+        for number in range(4)
+    )
+    messages: list[Message] = [{"type": "http.request", "body": images + b"--line--\r\n"}]
+
+    def read_images(most: int) -> dict[str, tuple[Part, ...]]:
+        async def receive() -> Message:
+            return messages[0]
+
+        headers = [(b"content-type", b"multipart/form-data; boundary=line")]
+        request = Request({"type": "http", "method": "POST", "headers": headers}, receive)
+        return asyncio.run(read_parts(request, {"image": Field(9, max_parts=most)}))
+
+    assert [part.data for part in read_images(4)["image"]] == [b"0", b"1", b"2", b"3"]
+    with pytest.raises(ProblemError) as caught:
+        read_images(3)
+    assert caught.value.problem == "The field 'image' comes 4 times."
+    assert caught.value.remedy == "Send it at most 3 times."

@@ -9,9 +9,10 @@ import pytest
 
 import boxlift
 from boxlift import Calibration, Frame, preset
+from boxlift.detector import Detector
 from boxlift.formats import details, kitti_label
 from boxlift.formats.calibration import read_calibration
-from boxlift.formats.image import image_size
+from boxlift.formats.image import decode_image, image_size
 from boxlift.formats.point_cloud import read_points
 from boxlift.formats.prompts import parse_prompts, to_json
 from boxlift.labeller import Labeller
@@ -253,6 +254,30 @@ def test_concurrent_requests_get_their_own_answers(service: RunningService, fram
         together = list(pool.map(label, names))
     assert together == alone
     assert [name for name, _ in together] == names
+
+
+def test_prompts_are_found_where_none_are_given(service: RunningService, kitti_object_root: Path) -> None:
+    training = kitti_object_root / "training"
+    stem = next(path.stem for path in sorted((training / "velodyne").glob("*.bin")))
+    image = (training / "image_2" / f"{stem}.png").read_bytes()
+    points = (training / "velodyne" / f"{stem}.bin").read_bytes()[: 16 * 100_000]
+    fields: Fields = {
+        "points": (f"{stem}.bin", points),
+        "calib": (None, (training / "calib" / f"{stem}.txt").read_bytes()),
+        "image": (None, image),
+        "options": (None, b'{"detection": {"min_score": 0.4}}'),
+    }
+    response = service.label(fields)
+    answer = LabelAnswer.model_validate_json(response.content)
+    detector = Detector.open()
+    found = detector.detect(decode_image(image), 0.4).prompts
+    assert found
+    assert [item.prompt_box_px for item in answer.objects] == [prompt.box_px for prompt in found]
+    assert answer.model_digest == detector.digest
+    assert "detect;dur=" in response.headers["server-timing"]
+    given = service.label(fields | {"prompts": (None, to_json(found).encode())})
+    assert given.json()["objects"] == response.json()["objects"]
+    assert given.json()["model_digest"] is None
 
 
 def test_a_real_frame(service: RunningService, kitti_object_root: Path) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,9 +10,14 @@ from typing import Any
 import httpx
 import pytest
 
+from boxlift.detector import DEFAULT_FILE
+from boxlift.formats.calibration import parse_calibration
+from boxlift.formats.kitti_label import parse_text
+from boxlift.formats.prompts import parse_prompt_lists, parse_prompts
 from boxlift.settings import PRESETS, LabellerSettings, RepairSettings
-from boxlift_service.answers import LabelAnswer
+from boxlift_service.answers import DetectAnswer, LabelAnswer
 from boxlift_service.app import create_app
+from boxlift_service.detect_decoding import detect_fields
 from boxlift_service.problems import ProblemDetails
 from boxlift_service.settings import ServiceSettings
 from service.running import RunningService
@@ -24,12 +30,22 @@ def test_probes_of_a_ready_service(service: RunningService) -> None:
 
 def test_models_lists_the_presets(service: RunningService) -> None:
     answer = service.client.get("/models").json()
-    assert answer["detector"] is None
     assert answer["default_preset"] == "accurate"
     assert [labeller["preset"] for labeller in answer["labellers"]] == list(PRESETS)
     for labeller in answer["labellers"]:
         settings = LabellerSettings.model_validate(labeller["settings"])
         assert settings.fingerprint() == labeller["fingerprint"] == PRESETS[labeller["preset"]].fingerprint()
+
+
+def test_models_lists_what_finds_objects_with_digests(service: RunningService, model_path: Path) -> None:
+    answer = service.client.get("/models").json()
+    assert answer["missing"] == {}
+    assert answer["detector"]["name"] == "nanodet_g"
+    assert answer["monocular"]["name"] == "hand_made"
+    assert answer["monocular"]["classes"] == ["Car", "Pedestrian"]
+    assert answer["monocular"]["metadata"]["licence"] == "Apache-2.0"
+    for model, path in (("detector", DEFAULT_FILE), ("monocular", model_path)):
+        assert answer[model]["digest"] == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @pytest.mark.parametrize(
@@ -133,10 +149,6 @@ def test_openapi_describes_every_route_and_no_foreign_error(service: RunningServ
 
 
 def test_openapi_examples_are_genuine(service: RunningService) -> None:
-    from boxlift.formats.calibration import parse_calibration
-    from boxlift.formats.kitti_label import parse_text
-    from boxlift.formats.prompts import parse_prompts
-
     operation = service.client.get("/openapi.json").json()["paths"]["/label"]["post"]
     fields = operation["requestBody"]["content"]["multipart/form-data"]["schema"]["properties"]
     assert set(fields) == {"points", "calib", "prompts", "image", "masks", "options", "name"}
@@ -152,3 +164,17 @@ def test_openapi_examples_are_genuine(service: RunningService) -> None:
     answers = operation["responses"]["200"]["content"]
     assert LabelAnswer.model_validate(answers["application/json"]["example"]).objects[0].category == "Car"
     assert parse_text(answers["text/plain"]["example"], "example")[0].score == 0.8714
+
+
+def test_openapi_examples_of_detect_are_genuine(service: RunningService) -> None:
+    operation = service.client.get("/openapi.json").json()["paths"]["/detect"]["post"]
+    fields = operation["requestBody"]["content"]["multipart/form-data"]["schema"]["properties"]
+    assert set(fields) == set(detect_fields(ServiceSettings()))
+    assert fields["image"]["maxItems"] == 4
+    for example in fields["calib"]["examples"]:
+        parse_calibration(example[0], camera_only=True)
+    one, two = fields["prompts"]["examples"]
+    assert [len(prompts) for prompts in parse_prompt_lists(one, 1)] == [1]
+    assert [len(prompts) for prompts in parse_prompt_lists(two, 2)] == [1, 0]
+    answer = operation["responses"]["200"]["content"]["application/json"]["example"]
+    assert DetectAnswer.model_validate(answer).images[0].objects[0].depth_spread == 0.041

@@ -22,17 +22,50 @@ _EXAMPLE = 'Give a list such as [{"class": "Car", "box": [100, 120, 180, 170], "
 
 def parse_prompts(data: bytes | str, field: str = "prompts") -> tuple[Prompt, ...]:
     """JSON -> prompts in its order; no score is 1. Raises PromptError that names index, key and value."""
+    return _parse_list(parse_json(data, field, PromptError), field)
+
+
+def parse_prompt_lists(
+    data: bytes | str, count: int, field: str = "prompts"
+) -> tuple[tuple[Prompt, ...], ...]:
+    """JSON, a list of `count` lists -> prompts of that many images; of one image the list alone will do.
+
+    Raises PromptError as parse_prompts does, and where there are more or fewer lists.
+    """
     values = parse_json(data, field, PromptError)
+    nested = isinstance(values, list) and bool(values) and all(isinstance(value, list) for value in values)
+    if count == 1 and not nested:
+        return (_parse_list(values, field),)
+    if not nested or len(values) != count:
+        given = f"{len(values)} lists" if nested else f"{values!r:.60}"
+        raise PromptError(
+            field,
+            f"it holds {given} for {count} images.",
+            "Give a list of lists, one per image, [] for none.",
+        )
+    return tuple(_parse_list(value, f"{field}[{index}]") for index, value in enumerate(values))
+
+
+def to_json(prompts: Iterable[Prompt]) -> str:
+    """Prompts -> JSON that parse_prompts reads."""
+    return json.dumps(_values_of(prompts))
+
+
+def lists_to_json(images: Iterable[Iterable[Prompt]]) -> str:
+    """Prompts of several images -> JSON that parse_prompt_lists reads."""
+    return json.dumps([_values_of(prompts) for prompts in images])
+
+
+def _values_of(prompts: Iterable[Prompt]) -> list[dict[str, object]]:
+    return [{"class": p.category, "box": list(p.box_px), "score": p.score} for p in prompts]
+
+
+def _parse_list(values: object, field: str) -> tuple[Prompt, ...]:
     if not isinstance(values, list):
         raise PromptError(field, f"the JSON is no list ({values!r:.60}).", _EXAMPLE)
     if len(values) > MAX_PROMPTS:
         raise PromptError(field, f"there are {len(values)} prompts.", f"Give at most {MAX_PROMPTS} a frame.")
     return tuple(_parse_prompt(value, f"{field}[{index}]") for index, value in enumerate(values))
-
-
-def to_json(prompts: Iterable[Prompt]) -> str:
-    """Prompts -> JSON that parse_prompts reads."""
-    return json.dumps([{"class": p.category, "box": list(p.box_px), "score": p.score} for p in prompts])
 
 
 def _parse_prompt(value: object, where: str) -> Prompt:

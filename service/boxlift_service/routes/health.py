@@ -1,4 +1,4 @@
-"""Probes: is the process alive, and can it label."""
+"""Probes: is the process alive, and can it label and find objects."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from fastapi import APIRouter
 
 from boxlift_service import documentation
 from boxlift_service.answers import StatusAnswer
+from boxlift_service.detection import Detection
 from boxlift_service.engine import Engine
 from boxlift_service.problems import Kind
 
 
-def health_routes(engine: Engine) -> APIRouter:
+def health_routes(engine: Engine, detection: Detection) -> APIRouter:
     """GET /healthz and GET /readyz."""
     routes = APIRouter(tags=["state"])
 
@@ -21,12 +22,16 @@ def health_routes(engine: Engine) -> APIRouter:
 
     @routes.get(
         "/readyz",
-        summary="Whether frames can be labelled",
+        summary="Whether frames can be labelled and objects found",
         responses=documentation.problem_responses(Kind.NOT_READY),
     )
     async def readyz() -> StatusAnswer:
-        """Answers 200 once a built-in frame has been labelled, 503 before."""
+        """Answers 200 while a built-in frame has been labelled and the models are loaded, else 503.
+
+        An installation without models is ready too: it labels.
+        """
         engine.require_ready()
+        detection.require_ready()
         return StatusAnswer(status="ready")
 
     return routes

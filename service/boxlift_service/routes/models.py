@@ -7,24 +7,35 @@ from collections.abc import Mapping
 from fastapi import APIRouter
 
 from boxlift.settings import DEFAULT_PRESET, LabellerSettings
-from boxlift_service.answers import LabellerModel, ModelsAnswer
+from boxlift_service.answers import LabellerModel, ModelsAnswer, OnnxModelAnswer
+from boxlift_service.detection import Detection
+from boxlift_service.detection_models import ModelInfo
 
 
-def models_routes(presets: Mapping[str, LabellerSettings]) -> APIRouter:
-    """GET /models, which lists `presets`."""
+def models_routes(detection: Detection, presets: Mapping[str, LabellerSettings]) -> APIRouter:
+    """GET /models, which lists `presets` and the models of `detection`."""
     routes = APIRouter(tags=["state"])
-    answer = ModelsAnswer(
-        labellers=tuple(
-            LabellerModel(preset=name, fingerprint=settings.fingerprint(), settings=settings)
-            for name, settings in presets.items()
-        ),
-        default_preset=DEFAULT_PRESET,
-        detector=None,
+    labellers = tuple(
+        LabellerModel(preset=name, fingerprint=settings.fingerprint(), settings=settings)
+        for name, settings in presets.items()
     )
 
-    @routes.get("/models", summary="Presets of the labeller, and the detector")
+    @routes.get("/models", summary="Presets of the labeller, and the models that find objects")
     async def models() -> ModelsAnswer:
-        """The settings of every preset, with their fingerprints."""
-        return answer
+        """The settings of every preset, with their fingerprints; the digest of every model's file."""
+        infos = {"detector": detection.detector, "monocular": detection.monocular}
+        return ModelsAnswer(
+            labellers=labellers,
+            default_preset=DEFAULT_PRESET,
+            detector=_answer(detection.detector),
+            monocular=_answer(detection.monocular),
+            missing={name: info.missing for name, info in infos.items() if info.missing is not None},
+        )
 
     return routes
+
+
+def _answer(info: ModelInfo) -> OnnxModelAnswer | None:
+    if info.missing is not None:
+        return None
+    return OnnxModelAnswer(name=info.name, digest=info.digest, classes=info.classes, metadata=info.metadata)
