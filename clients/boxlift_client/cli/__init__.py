@@ -19,6 +19,7 @@ from boxlift_client.cli.evaluate import evaluate
 from boxlift_client.cli.label import label
 from boxlift_client.cli.serve import serve
 from boxlift_client.cli.show import show
+from boxlift_client.cli.train import train
 
 _USER_ERROR = 2
 
@@ -30,7 +31,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (demo, serve, label, evaluate, show):
+for command in (demo, serve, label, evaluate, show, train):
     app.command()(command)
 
 

@@ -67,7 +67,8 @@ def frozen_sizes(categories: Sequence[str]) -> Floats:
     return np.array([(s.length_m, s.width_m, s.height_m) for s in sizes], dtype=np.float64).reshape(-1, 3)
 
 
-def _empty(frame: Frame, rows: Sequence[int]) -> Targets:
+def no_targets(frame: Frame, rows: Sequence[int]) -> Targets:
+    """Nothing supervises the prompts `rows`."""
     count = len(rows)
     return Targets(
         weight=np.zeros(count),
@@ -85,7 +86,7 @@ def _from_points(frame: Frame, rows: Sequence[int]) -> Targets:
     visible = points_in_image(frame)
     ground = find_ground(visible.cam, frame.name, PAPER.ground)
     found = select_object_points(frame, visible, ground, PAPER.points, PAPER.sizes)
-    targets = _empty(frame, rows)
+    targets = no_targets(frame, rows)
     for index, row in enumerate(rows):
         item = found[row]
         if isinstance(item, ObjectPoints):
@@ -100,7 +101,7 @@ def _from_points(frame: Frame, rows: Sequence[int]) -> Targets:
 def _from_boxes(
     frame: Frame, rows: Sequence[int], boxes: Sequence[Boxes3D | None], weight: Floats
 ) -> Targets:
-    targets = _empty(frame, rows)
+    targets = no_targets(frame, rows)
     for index, box in enumerate(boxes):
         # A box whose centre is not before the camera has no projected centre.
         if box is not None and box.center_cam[0, 2] > 1:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -26,14 +26,22 @@ from boxlift.seeds import seed_of
 CHECKPOINT_NAME = "checkpoint.pt"
 
 
-class Watcher:
-    """Is told how a training goes; this one does not care."""
+class Watcher(Protocol):
+    """Is told how a training goes."""
 
     def on_step(self, epoch: int, step: int, loss: float) -> None:
         """Batch `step` of `epoch` (both from 0) had this loss."""
 
     def on_epoch(self, curve: Curve) -> None:
         """An epoch has ended: its figures are the last row."""
+
+
+class _Nobody:
+    def on_step(self, epoch: int, step: int, loss: float) -> None:
+        pass
+
+    def on_epoch(self, curve: Curve) -> None:
+        pass
 
 
 def train(
@@ -51,7 +59,7 @@ def train(
     """
     machine = open_machine(settings.machine)
     keeps_books = machine.rank == 0
-    watcher = watcher or Watcher()
+    watcher = watcher or _Nobody()
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / CHECKPOINT_NAME
     checkpoint = read_checkpoint(path, fingerprint)

@@ -18,14 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.camera import Floats
-from boxlift.datasets import FrameSource, load_prompts, open_source
+from boxlift.datasets import FrameSource, load_objects, load_prompts, open_source
 from boxlift.datasets.frames_file import read_frames
 from boxlift.errors import DatasetError, NoLidarError
 from boxlift.formats import image as image_files
+from boxlift.formats.kitti_label import KittiObject
 from boxlift.frame import Frame
 from boxlift.network.checkpoint import write_atomically
 from boxlift.network.config import DataSettings, FrameSet
-from boxlift.network.targets import Targets, find_targets
+from boxlift.network.targets import Targets, find_targets, no_targets
 from boxlift.object_points import check_prompt
 from boxlift.settings import PAPER
 
@@ -55,31 +56,56 @@ class TrainingFrame:
         return image_files.decode_image(self.image_path, str(self.image_path))
 
 
+@dataclass(frozen=True)
+class JudgedFrame:
+    """A frame that a model is judged on, and its drawn labels. Its targets are empty."""
+
+    frame: TrainingFrame
+    truth: tuple[KittiObject, ...]
+
+
 def load_frames(
     sets: Sequence[FrameSet],
     data: DataSettings,
     cache: Path | None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[TrainingFrame]:
-    """All frames of the sets that have LiDAR, an image and a usable 2D box, with their targets.
+    """All frames of the sets that have LiDAR and a usable 2D box, with what supervises them.
 
     cache: a file to read the targets from, or to write them to. Raises DatasetError where frames, images or
     prompts are not there.
     """
-    key = json.dumps([_FORMAT, data.model_dump_json(), [each.model_dump_json() for each in sets]])
+    chosen = data.model_dump(mode="json", exclude={"train", "validate_on"})
+    key = json.dumps([_FORMAT, chosen, [each.model_dump(mode="json") for each in sets]])
     known = _read_cache(cache, key)
-    todo = [(number, each, source, name) for number, each, source, name in _named(sets)]
+    todo = list(_named(sets))
     frames = []
     for done, (number, each, source, name) in enumerate(todo):
         if progress is not None:
             progress(done, len(todo))
-        frame = _load(source, each, name)
-        if frame is not None:
-            frames.append(_training_frame(frame, source, each, data, known.get(f"{number}/{name}")))
-            known[f"{number}/{name}"] = frames[-1].targets
+        loaded = _load(source, each, name)
+        if loaded is None:
+            continue
+        rows = _usable(loaded, each, data)
+        key_of_frame = f"{number}/{name}"
+        if key_of_frame not in known:
+            known[key_of_frame] = find_targets(loaded, rows, source, each, data)
+        frames.append(_training_frame(loaded, source, rows, data, known[key_of_frame]))
     if cache is not None:
         _write_cache(cache, key, known)
     return [frame for frame in frames if len(frame.boxes_px)]
+
+
+def load_judged(sets: Sequence[FrameSet], data: DataSettings) -> list[JudgedFrame]:
+    """All frames of the sets that have LiDAR, with their drawn labels. Raises DatasetError as load_frames."""
+    frames = []
+    for _, each, source, name in _named(sets):
+        loaded = _load(source, each, name)
+        if loaded is not None:
+            rows = _usable(loaded, each, data)
+            frame = _training_frame(loaded, source, rows, data, no_targets(loaded, rows))
+            frames.append(JudgedFrame(frame, tuple(load_objects(each.labels, source, name))))
+    return frames
 
 
 def find_image(source: FrameSource, name: str) -> Path:
@@ -107,27 +133,30 @@ def _load(source: FrameSource, frame_set: FrameSet, name: str) -> Frame | None:
         return None
 
 
-def _training_frame(
-    frame: Frame, source: FrameSource, frame_set: FrameSet, data: DataSettings, known: Targets | None
-) -> TrainingFrame:
-    rows = [
+def _usable(frame: Frame, frame_set: FrameSet, data: DataSettings) -> list[int]:
+    """The prompts to train on or to judge by: of the classes, sure enough, inside the image."""
+    return [
         index
         for index, prompt in enumerate(frame.prompts)
         if prompt.category in data.categories
         and prompt.score >= frame_set.min_score
         and check_prompt(prompt, index, frame.image_size_px, PAPER.sizes) is None
     ]
+
+
+def _training_frame(
+    frame: Frame, source: FrameSource, rows: Sequence[int], data: DataSettings, targets: Targets
+) -> TrainingFrame:
     chosen = [frame.prompts[index] for index in rows]
-    calibration = frame.calibration
     return TrainingFrame(
         name=frame.name,
         image_path=find_image(source, frame.name),
-        image_P_cam=calibration.image_P_cam,
-        lidar_center_cam=calibration.lidar_center_cam,
+        image_P_cam=frame.calibration.image_P_cam,
+        lidar_center_cam=frame.calibration.lidar_center_cam,
         boxes_px=np.array([prompt.box_px for prompt in chosen], dtype=np.float64).reshape(-1, 4),
         score=np.array([prompt.score for prompt in chosen], dtype=np.float64),
         category=np.array([data.categories.index(prompt.category) for prompt in chosen], dtype=np.int64),
-        targets=known or find_targets(frame, rows, source, frame_set, data),
+        targets=targets,
     )
 
 

@@ -12,9 +12,10 @@ import torch
 from torch import Tensor, nn
 
 from boxlift.errors import OptionsError
+from boxlift.network.checkpoint import Curve
 from boxlift.network.config import MachineSettings, TrainerSettings
 from boxlift.network.curve import read_metrics
-from boxlift.network.trainer import CHECKPOINT_NAME, Watcher, learning_rate, train
+from boxlift.network.trainer import CHECKPOINT_NAME, learning_rate, train
 from model.network.small_training import SmallTask, settings
 
 EPOCHS = 12
@@ -55,9 +56,12 @@ def test_killed_run_goes_on_to_the_same_bytes(uninterrupted: Path, tmp_path: Pat
 
 
 def test_finished_run_is_not_trained_again(uninterrupted: Path) -> None:
-    class Nothing(Watcher):
+    class Nothing:
         def on_step(self, epoch: int, step: int, loss: float) -> None:
             raise AssertionError((epoch, step, loss))
+
+        def on_epoch(self, curve: Curve) -> None:
+            raise AssertionError(curve)
 
     model, _ = train(SmallTask(), settings(EPOCHS), uninterrupted, "small", Nothing())
     assert SmallTask().evaluate(model) == {"at_one": read_metrics(uninterrupted)[-1]["at_one"]}
