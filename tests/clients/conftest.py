@@ -1,4 +1,4 @@
-"""A small generated dataset, and the real service on a port of its own, shared by all tests here."""
+"""A small generated dataset, the command line and the real service on a port of its own, for all tests."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import pytest
 import torch
 
 from boxlift.datasets.generated import generate, write_dataset
+from boxlift_client.cli import main
 from boxlift_client.service_process import running_service
+from clients.command import Boxlift, Ran
 
 
 @pytest.fixture(scope="session")
@@ -18,6 +20,18 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("dataset")
     write_dataset(root, (generate(seed) for seed in range(3)))
     return root
+
+
+@pytest.fixture
+def boxlift(capfd: pytest.CaptureFixture[str]) -> Boxlift:
+    """Runs `boxlift ARGUMENTS...`."""
+
+    def run(*arguments: object) -> Ran:
+        with pytest.raises(SystemExit) as exit_:
+            main([str(argument) for argument in arguments])
+        return Ran(exit_.value.code, *capfd.readouterr())
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,27 +15,7 @@ from PIL import Image
 
 from boxlift import Calibration, __version__
 from boxlift.formats.calibration import read_calibration, to_kitti_text
-from boxlift_client.cli import main
-
-
-class Ran:
-    """What a command printed, and its exit status."""
-
-    def __init__(self, status: object, out: str, err: str) -> None:
-        self.status, self.out, self.err = status, out, err
-
-
-Boxlift = Callable[..., Ran]
-
-
-@pytest.fixture
-def boxlift(capfd: pytest.CaptureFixture[str]) -> Boxlift:
-    def run(*arguments: object) -> Ran:
-        with pytest.raises(SystemExit) as exit_:
-            main([str(argument) for argument in arguments])
-        return Ran(exit_.value.code, *capfd.readouterr())
-
-    return run
+from clients.command import Boxlift
 
 
 def test_label_evaluate_show(boxlift: Boxlift, dataset: Path, tmp_path: Path) -> None:
@@ -148,10 +127,6 @@ def test_priors_of_ones_own_travel_with_the_job(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (
-            ["label", "SOURCE"],
-            "prompts: no detector is installed; give --prompts label_2, det_2d or a folder.",
-        ),
         (["label", "nowhere", "--prompts", "label_2"], "nowhere: the folder does not exist. Check the path."),
         (["label", "SOURCE", "--prompts", "nowhere"], "nowhere: there is no such folder"),
         (["label", "SOURCE", "--prompts", "label_2", "--preset", "best"], "preset: 'best' is no preset."),
