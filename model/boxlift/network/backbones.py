@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from boxlift.detector import DEFAULT_FILE
 from boxlift.network import onnx_files
+from boxlift.network.batch import Images
 from boxlift.network.nanodet import NECK_CHANNELS, NanoDetTrunk
 from boxlift.network.resnet import BEYOND_THE_STAGES, ResNet, load_weights
 
@@ -50,6 +51,9 @@ class Backbone(nn.Module):
         super().train(mode and not self.frozen)
         return self
 
-    def forward(self, image_rgb: Tensor) -> tuple[Tensor, ...]:
+    def forward(self, image_rgb: Images) -> tuple[Tensor, ...]:
+        """Images to maps; what are maps already, of this backbone when frozen, stays."""
+        if isinstance(image_rgb, tuple):
+            return image_rgb
         maps: tuple[Tensor, ...] = self.body(image_rgb)
         return maps[: len(STRIDES)]

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+# (B, 3, H, W) RGB from 0 to 255, or the maps that a frozen backbone made of them.
+Images = Tensor | tuple[Tensor, ...]
+
 
 @dataclass(frozen=True)
 class ObjectBatch:
@@ -37,12 +40,12 @@ class ObjectBatch:
 
 @dataclass(frozen=True)
 class FrameBatch:
-    """B frames. images (B, 3, H, W) RGB 0 to 255, padded below and right; image_P_cam (B, 3, 4).
+    """B frames: images padded below and right, or maps of them; image_P_cam (B, 3, 4).
 
     object_counts: how many of the objects belong to each frame, in their order.
     """
 
-    images: Tensor
+    images: Images
     image_P_cam: Tensor
     object_counts: list[int]
     objects: ObjectBatch

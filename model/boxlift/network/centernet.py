@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from boxlift.network.backbones import Backbone
-from boxlift.network.batch import FrameBatch
+from boxlift.network.batch import FrameBatch, Images
 from boxlift.network.box_parameters import BoxParameters, depth_of, log_size_of
 from boxlift.network.config import ModelSettings
 from boxlift.network.orientation import NUMBERS_PER_BIN
@@ -82,8 +82,8 @@ class CenterNetwork(nn.Module):
         nn.init.constant_(self.depth[-1].get_parameter("bias"), math.log(TYPICAL_DEPTH_M))
         start_unturned(self.orientation[-1])
 
-    def forward(self, images: Tensor) -> DenseMaps:
-        """images (B, 3, H, W) RGB 0 to 255, sides multiples of 32."""
+    def forward(self, images: Images) -> DenseMaps:
+        """Images with sides that are multiples of 32, or maps of a frozen backbone."""
         fine, coarse = self.backbone(images)
         up = functional.interpolate(self.coarse(coarse), scale_factor=2.0, mode="nearest")
         features = self.join(self.fine(fine) + up)

@@ -9,13 +9,15 @@ from typing import TypeVar
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from boxlift.camera import Floats
 from boxlift.network.augmentation import Sample, augment
 from boxlift.network.backbones import MULTIPLE
-from boxlift.network.batch import FrameBatch, ObjectBatch
+from boxlift.network.batch import FrameBatch, Images, ObjectBatch
 from boxlift.network.config import AugmentationSettings
+from boxlift.network.frozen_maps import FrozenMaps
 from boxlift.network.targets import frozen_sizes
 from boxlift.network.training_frames import TrainingFrame
 
@@ -39,6 +41,7 @@ class FrameBatches:
         rays_from_lidar: bool = False,
         threads: int = 1,
     ) -> None:
+        """With `augmentation` all zero, frozen maps can take the place of images: see shuffled."""
         self._frames = frames
         self._frozen_sizes = frozen_sizes(categories)
         self._batch_size = batch_size
@@ -46,30 +49,51 @@ class FrameBatches:
         self._rays_from_lidar = rays_from_lidar
         self._threads = threads
 
-    def shuffled(self, generator: torch.Generator) -> Iterator[FrameBatch]:
-        """All frames once in random order, each changed by random numbers of its own."""
+    def shuffled(
+        self, generator: torch.Generator, frozen_maps: FrozenMaps | None = None
+    ) -> Iterator[FrameBatch]:
+        """All frames once in random order, each changed by random numbers of its own.
+
+        With `frozen_maps` batches hold those in place of images, and frames stay as they are.
+        """
         order = torch.randperm(len(self._frames), generator=generator).tolist()
         seeds = torch.randint(2**62, (len(order),), generator=generator).tolist()
         groups = [
             list(zip(order[start : start + self._batch_size], seeds[start:], strict=False))
             for start in range(0, len(order), self._batch_size)
         ]
+        if frozen_maps is not None:
+            for group in groups:
+                frames = [self._frames[index] for index, _ in group]
+                samples = [unchanged(frame, with_image=False) for frame in frames]
+                yield self._batch(samples, frozen_maps.of([index for index, _ in group], frames))
+            return
         with ThreadPoolExecutor(self._threads) as threads:
             for samples in _ahead(threads, self._sample, groups):
-                yield batch_of(samples, self._frozen_sizes, rays_from_lidar=self._rays_from_lidar)
+                yield self._batch(samples, stacked_images([sample.image for sample in samples]))
+
+    def _batch(self, samples: Sequence[Sample], images: Images) -> FrameBatch:
+        return batch_of(samples, images, self._frozen_sizes, rays_from_lidar=self._rays_from_lidar)
 
     def _sample(self, choice: tuple[int, int]) -> Sample:
         index, seed = choice
         return augment(unchanged(self._frames[index]), self._augmentation, np.random.default_rng(seed))
 
 
-def batch_of(samples: Sequence[Sample], frozen_sizes: Floats, *, rays_from_lidar: bool) -> FrameBatch:
-    """Samples -> a batch. frozen_sizes (classes, 3)."""
-    height, width = (max(sample.image.shape[axis] for sample in samples) for axis in (0, 1))
-    images = torch.zeros(len(samples), 3, height + -height % MULTIPLE, width + -width % MULTIPLE)
-    for image, sample in zip(images, samples, strict=True):
-        rows, columns = sample.image.shape[:2]
-        image[:, :rows, :columns] = torch.from_numpy(sample.image).permute(2, 0, 1)
+def stacked_images(images: Sequence[NDArray[np.uint8]]) -> Tensor:
+    """Images (H, W, 3) of any sizes -> (B, 3, H, W) float, black below and right of the smaller ones."""
+    height, width = (max(image.shape[axis] for image in images) for axis in (0, 1))
+    stacked = torch.zeros(len(images), 3, height + -height % MULTIPLE, width + -width % MULTIPLE)
+    for place, image in zip(stacked, images, strict=True):
+        rows, columns = image.shape[:2]
+        place[:, :rows, :columns] = torch.from_numpy(image).permute(2, 0, 1)
+    return stacked
+
+
+def batch_of(
+    samples: Sequence[Sample], images: Images, frozen_sizes: Floats, *, rays_from_lidar: bool
+) -> FrameBatch:
+    """Samples and their stacked images, or maps -> a batch. frozen_sizes (classes, 3)."""
     counts = [len(sample.boxes_px) for sample in samples]
     category = torch.from_numpy(np.concatenate([sample.category for sample in samples]))
     targets = [sample.targets for sample in samples]
@@ -98,10 +122,10 @@ def batch_of(samples: Sequence[Sample], frozen_sizes: Floats, *, rays_from_lidar
     )
 
 
-def unchanged(frame: TrainingFrame) -> Sample:
-    """A frame with its pixels."""
+def unchanged(frame: TrainingFrame, *, with_image: bool = True) -> Sample:
+    """A frame with its pixels, or without any."""
     return Sample(
-        image=frame.read_image(),
+        image=frame.read_image() if with_image else np.empty((0, 0, 3), dtype=np.uint8),
         image_P_cam=frame.image_P_cam,
         lidar_center_cam=frame.lidar_center_cam,
         boxes_px=frame.boxes_px,

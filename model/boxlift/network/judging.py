@@ -17,7 +17,7 @@ from boxlift.evaluation.rules import DIFFICULTIES, MODERATE, IouSet, rules_of
 from boxlift.formats.kitti_label import KittiObject, from_box3d
 from boxlift.network.box_parameters import BoxParameters, BoxTensors, to_boxes
 from boxlift.network.centernet import CenterNetwork, find_peaks
-from boxlift.network.frame_batches import batch_of, unchanged
+from boxlift.network.frame_batches import batch_of, stacked_images, unchanged
 from boxlift.network.targets import frozen_sizes
 from boxlift.network.training_frames import TrainingFrame
 from boxlift.overlap import iou_2d
@@ -41,8 +41,9 @@ def predict(model: nn.Module, frame: TrainingFrame, categories: Sequence[str]) -
     device = next(model.parameters()).device
     sample = unchanged(frame)
     sizes = frozen_sizes(categories)
-    batch = batch_of([sample], sizes, rays_from_lidar=False)
-    images, P = batch.images.to(device), batch.image_P_cam.to(device)
+    images = stacked_images([sample.image]).to(device)
+    batch = batch_of([sample], images, sizes, rays_from_lidar=False)
+    P = batch.image_P_cam.to(device)
     if isinstance(model, CenterNetwork):
         peaks = find_peaks(model(images))
         warm = peaks.score > _COLDEST_PEAK

@@ -12,9 +12,10 @@ from boxlift.errors import OptionsError
 from boxlift.formats import kitti_label
 from boxlift.network.batch import FrameBatch
 from boxlift.network.centernet import CenterNetwork, detection_loss, object_cells, parameters_at
-from boxlift.network.config import ModelSettings, MonocularSettings
+from boxlift.network.config import AugmentationSettings, ModelSettings, MonocularSettings
 from boxlift.network.direct_loss import box_loss, direct_loss
 from boxlift.network.frame_batches import FrameBatches
+from boxlift.network.frozen_maps import FrozenMaps
 from boxlift.network.judging import judge, predict
 from boxlift.network.paper_head import PaperNetwork
 from boxlift.network.training_frames import load_frames, load_judged
@@ -36,6 +37,7 @@ class MonocularTask:
         data, loss = settings.data, settings.loss
         self._settings = settings
         self._folder = folder
+        self._frozen_maps: FrozenMaps | None = None
         frames = load_frames(data.train, data, folder / TARGETS_NAME)
         if not frames:
             raise OptionsError(
@@ -53,11 +55,15 @@ class MonocularTask:
 
     def build(self, rng: torch.Generator) -> nn.Module:  # noqa: ARG002 - layers draw from torch's own
         """See Task."""
-        return build_network(self._settings.model, len(self._settings.data.categories))
+        model = build_network(self._settings.model, len(self._settings.data.categories))
+        still = self._settings.augmentation == AugmentationSettings()
+        if model.backbone.frozen and still:
+            self._frozen_maps = FrozenMaps(model.backbone)
+        return model
 
     def batches(self, epoch: int, generator: torch.Generator) -> Iterator[FrameBatch]:  # noqa: ARG002
         """See Task."""
-        return self._batches.shuffled(generator)
+        return self._batches.shuffled(generator, self._frozen_maps)
 
     def loss(self, model: nn.Module, batch: FrameBatch) -> dict[str, Tensor]:
         """See Task."""

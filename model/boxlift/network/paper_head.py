@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from boxlift.network.backbones import STRIDES, Backbone
+from boxlift.network.batch import Images
 from boxlift.network.box_parameters import BoxParameters, depth_of, log_size_of
 from boxlift.network.config import ModelSettings
 from boxlift.network.orientation import NUMBERS_PER_BIN
@@ -33,9 +34,9 @@ class PaperNetwork(nn.Module):
         self.head = PaperHead(channels, settings)
 
     def forward(
-        self, images: Tensor, image_P_cam: Tensor, boxes_px: list[Tensor], frozen_size_m: list[Tensor]
+        self, images: Images, image_P_cam: Tensor, boxes_px: list[Tensor], frozen_size_m: list[Tensor]
     ) -> BoxParameters:
-        """images (B, 3, H, W) RGB 0 to 255; image_P_cam (B, 3, 4); per image boxes_px (N, 4) and size (N, 3)
+        """images (or maps); image_P_cam (B, 3, 4); per image boxes_px (N, 4) and size (N, 3)
 
         of each box's class (length, width, height). The boxes come out in the order of the images.
         """
