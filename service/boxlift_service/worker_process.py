@@ -47,7 +47,8 @@ class WorkerProcess(Generic[State]):
     @property
     def lives(self) -> bool:
         """Whether there is a process that was opened and has not ended."""
-        return self._process is not None and self._process.is_alive()
+        # Not is_alive: a process lets go of its sentinel a moment before it can be waited for.
+        return self._process is not None and not wait([self._process.sentinel], timeout=0)
 
     def watch(self, on_end: Callable[[], None]) -> None:
         """Call `on_end`, in a thread of its own, when the process that is there now has ended."""

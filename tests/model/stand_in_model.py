@@ -28,9 +28,17 @@ METADATA = {
 
 
 def stand_in_model(
-    path: Path, *, height_m: float = HEIGHT_M, metadata: dict[str, str] | None = None, length_m: float = 4.0
+    path: Path,
+    *,
+    height_m: float = HEIGHT_M,
+    metadata: dict[str, str] | None = None,
+    length_m: float = 4.0,
+    brightest: int = 256,
 ) -> Path:
-    """Write the model; `height_m` of NaN gives numbers that are none, a negative one depths behind."""
+    """Write the model; `height_m` of NaN gives numbers that are none, a negative one depths behind.
+
+    It fails on images whose mean brightness is `brightest` or more.
+    """
     node = helper.make_node
     nodes = [
         constant("zero", INT64, [1], [0]),
@@ -80,7 +88,11 @@ def stand_in_model(
         node("Expand", ["unit", "rows"], ["detection_scores"]),
         node("Cast", ["image"], ["bright"], to=FLOAT),
         node("ReduceMean", ["bright"], ["mean"], keepdims=0),
-        node("Mul", ["mean", "to_score"], ["score"]),
+        constant("table", FLOAT, [brightest], [0.0] * brightest),
+        node("Cast", ["mean"], ["place"], to=INT64),
+        node("Gather", ["table", "place"], ["nothing"]),  # fails beyond the table's end
+        node("Add", ["mean", "nothing"], ["brightness"]),
+        node("Mul", ["brightness", "to_score"], ["score"]),
         node("Expand", ["score", "rows"], ["scores"]),
     ]
     inputs = [

@@ -9,11 +9,13 @@ import pytest
 
 import boxlift
 from boxlift import Calibration
+from boxlift.detector import Detector
 from boxlift.formats import details, kitti_label
 from boxlift.formats.image import decode_image
 from boxlift.formats.prompts import parse_prompts
 from boxlift.monocular import Monocular
 from boxlift_service.answers import DetectAnswer
+from model.detector.detector_files import detector_file
 from service.frames import CAM_T_VELO, CAR, HEIGHT, P2, WIDTH, calib_json, calib_text, detect_parts, grey_png
 from service.running import RunningService, running_service
 
@@ -163,21 +165,17 @@ def test_concurrent_requests_get_their_own_answers(service: RunningService) -> N
     assert together == [detect(value) for value in range(0, 250, 10)]
 
 
-def test_a_detector_of_ones_own_also_looks_for_the_monocular_model(
-    model_path: Path, kitti_object_root: Path
-) -> None:
-    from boxlift.detector import DEFAULT_FILE
-
-    training = kitti_object_root / "training"
-    stem = next(path.stem for path in sorted((training / "image_2").glob("*.png")))
-    image = (training / "image_2" / f"{stem}.png").read_bytes()
-    calib = (training / "calib" / f"{stem}.txt").read_bytes()
-    with running_service(model=str(model_path), detector=str(DEFAULT_FILE)) as service:
-        response = service.detect(detect_parts(image, calib=calib))
+def test_a_detector_of_ones_own_also_looks_for_the_monocular_model(model_path: Path, tmp_path: Path) -> None:
+    boxes: list[tuple[float, float, float, float]] = [(540, 180, 660, 260), (700, 150, 740, 250)]
+    own = detector_file(tmp_path / "own.onnx", boxes, [0.9, 0.8], [0, 1], classes=["Car", "Tram"])
+    with running_service(model=str(model_path), detector=str(own)) as service:
+        response = service.detect(detect_parts(grey_png()))
         answer = DetectAnswer.model_validate_json(response.content)
         assert answer.detector is not None
-        assert answer.detector.name == "nanodet_g"
-        assert len(answer.images[0].objects) > 1
+        assert (answer.detector.name, answer.detector.digest) == ("own", Detector.open(own).digest)
+        car, tram = answer.images[0].objects
+        assert (car.result, car.prompt_box_px, car.prompt_score) == ("PREDICTED", boxes[0], 0.9)
+        assert (tram.result, tram.box) == ("CLASS_NOT_IN_MODEL", None)
         assert "detect;dur=" in response.headers["server-timing"]
-        prompted = service.detect(detect_parts(image, calib=calib, prompts=b"[]"))
+        prompted = service.detect(detect_parts(grey_png(), prompts=b"[]"))
         assert prompted.json()["detector"] is None

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from boxlift import Prompt
 from boxlift.errors import PromptError
-from boxlift.formats.prompts import parse_prompts, to_json
+from boxlift.formats.prompts import lists_to_json, parse_prompt_lists, parse_prompts, to_json
 
 ONE = '{"class": "Car", "box": [1, 2.5, 30, 40]}'
 
@@ -84,3 +84,15 @@ def test_refusals(text: str, field: str, says: str) -> None:
 def test_bytes_that_are_no_text() -> None:
     with pytest.raises(PromptError, match="UTF-8"):
         parse_prompts(b"\xff[]")
+
+
+def test_prompts_of_several_images() -> None:
+    prompts = (Prompt("Car", (1.0, 2.0, 3.5, 4.0), 0.5), Prompt("Van", (0.0, 0.0, 9.0, 9.0)))
+    for images in ([prompts, (), prompts[:1]], [()], [prompts]):
+        text = lists_to_json(images)
+        assert list(parse_prompt_lists(text, len(images))) == [tuple(image) for image in images]
+    assert parse_prompt_lists(to_json(prompts), 1) == (prompts,)
+    assert parse_prompt_lists("[]", 1) == ((),)
+    for text, count in (("[]", 2), ("[[]]", 2), ("[[], {}]", 2), ("{}", 1), ("[[], []]", 1), ("3", 3)):
+        with pytest.raises(PromptError):
+            parse_prompt_lists(text, count)

@@ -1,0 +1,76 @@
+"""What the worker of test_worker_process is told to do; importable by name, as its process asks."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from dataclasses import dataclass
+
+from boxlift.errors import OptionsError
+
+
+def open_counter(start: int) -> list[int]:
+    """The state of the worker: a number that it counts on."""
+    return [start]
+
+
+def refuse() -> None:
+    """An opener that finds its arguments wrong."""
+    raise OptionsError("start", "it is wrong.", "Give another.")
+
+
+def crash() -> None:
+    """An opener that ends its process."""
+    os._exit(7)
+
+
+@dataclass(frozen=True)
+class Count:
+    """Add to the state."""
+
+    step: int
+
+    def __call__(self, state: list[int]) -> tuple[int, int]:
+        state[0] += self.step
+        return os.getpid(), state[0]
+
+
+@dataclass(frozen=True)
+class Echo:
+    """Give back what was sent."""
+
+    data: bytes
+
+    def __call__(self, state: list[int]) -> bytes:
+        del state
+        return self.data
+
+
+def wrong_input(state: list[int]) -> None:
+    """An input's fault."""
+    raise OptionsError("step", f"{state[0]} is enough.", "Count on.")
+
+
+def fault(state: list[int]) -> None:
+    """A fault of the code."""
+    raise ZeroDivisionError(f"at {state[0]}")
+
+
+def kill_itself(state: list[int]) -> None:
+    """As the kernel ends a process that takes too much memory."""
+    del state
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def hang(state: list[int]) -> None:
+    """Never answer."""
+    del state
+    time.sleep(3600)
+
+
+def modules(state: object) -> list[str]:
+    """Names of what is loaded there."""
+    del state
+    return sorted(sys.modules)
