@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.errors import ImageError, ModelFileError
+from boxlift.formats.image import resized
 from boxlift.frame import Prompt
 from boxlift.onnx_model import Interface, OnnxModel, Tensor
 from boxlift.settings import DetectionSettings
@@ -31,6 +32,7 @@ INTERFACE = Interface(
 
 # No street holds as many: above it the model has forgotten its NMS, and every box would cost a fit.
 _MOST_DETECTIONS = 1_000
+_LEAST_SIDE_PX = 32
 # As labels are written, so that a detection is what its label says: hundredths of a pixel, four decimals.
 _PIXEL_DECIMALS, _SCORE_DECIMALS = 2, 4
 
@@ -54,6 +56,7 @@ class Detector:
     def __init__(self, model: OnnxModel) -> None:
         self._model = model
         self.class_names = model.class_names()
+        self._longest_side_px = self._longest_side()
 
     @classmethod
     def open(cls, path: Path | str | None = None, threads: int = 1) -> Detector:
@@ -85,11 +88,13 @@ class Detector:
             raise ImageError(
                 "image", f"the array is {image.dtype} {image.shape}.", "Give uint8 (H, W, 3), RGB."
             )
-        found = self._model.run({"image": np.ascontiguousarray(image)})
+        seen = self._scaled_down(image)
+        found = self._model.run({"image": np.ascontiguousarray(seen)})
         boxes_px, scores, categories = (found[name] for name in ("boxes_px", "scores", "categories"))
-        self._check(boxes_px, scores, categories, image)
+        self._check(boxes_px, scores, categories, seen)
         height, width = image.shape[:2]
-        boxes_px = boxes_px.astype(float).clip(0, (width, height, width, height)).round(_PIXEL_DECIMALS)
+        scale = np.tile((width / seen.shape[1], height / seen.shape[0]), 2)
+        boxes_px = (boxes_px * scale).clip(0, (width, height, width, height)).round(_PIXEL_DECIMALS)
         scores = scores.astype(float).round(_SCORE_DECIMALS)
         kept = np.flatnonzero((scores >= min_score) & (boxes_px[:, 2:] > boxes_px[:, :2]).all(axis=1))
         if len(kept) > _MOST_DETECTIONS:
@@ -104,7 +109,28 @@ class Detector:
                 categories[kept].tolist(), boxes_px[kept].tolist(), scores[kept].tolist(), strict=True
             )
         )
-        return Detections(prompts, _instance_ids(found["masks"], kept) if "masks" in found else None)
+        masks = found.get("masks")
+        return Detections(prompts, None if masks is None else _instance_ids(masks, kept, (height, width)))
+
+    def _longest_side(self) -> int | None:
+        """The property longest_side_px. Raises ModelFileError."""
+        text = self._model.metadata.get("longest_side_px")
+        if text is None:
+            return None
+        if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) >= _LEAST_SIDE_PX):
+            raise self._error(
+                f"its property 'longest_side_px' is {text!r:.40}, no number of at least {_LEAST_SIDE_PX}."
+            )
+        return int(text)
+
+    def _scaled_down(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The image, or a smaller one where it is larger than this detector was made for."""
+        height, width = image.shape[:2]
+        longest = max(height, width)
+        if self._longest_side_px is None or longest <= self._longest_side_px:
+            return image
+        scale = self._longest_side_px / longest
+        return resized(image, (max(1, round(width * scale)), max(1, round(height * scale))))
 
     def _check(
         self, boxes_px: NDArray[Any], scores: NDArray[Any], categories: NDArray[Any], image: NDArray[np.uint8]
@@ -126,9 +152,17 @@ class Detector:
         return ModelFileError(str(self._model.path), problem, _REMEDY)
 
 
-def _instance_ids(masks: NDArray[Any], kept: NDArray[np.intp]) -> NDArray[np.uint16]:
-    """(N, H, W) masks and the rows that are kept, best first -> (H, W) place among the kept + 1."""
+def _instance_ids(masks: NDArray[Any], kept: NDArray[np.intp], shape: tuple[int, int]) -> NDArray[np.uint16]:
+    """(N, h, w) masks and those that are kept, best first -> `shape` (H, W): place among the kept + 1."""
     instance_ids = np.zeros(masks.shape[1:], np.uint16)
     for place in range(len(kept) - 1, -1, -1):
         instance_ids[masks[kept[place]] > 0.5] = place + 1
-    return instance_ids
+    rows = _nearest(shape[0], instance_ids.shape[0])
+    columns = _nearest(shape[1], instance_ids.shape[1])
+    enlarged: NDArray[np.uint16] = instance_ids[rows[:, None], columns]
+    return enlarged
+
+
+def _nearest(side_px: int, smaller_px: int) -> NDArray[np.intp]:
+    """(side_px,) which of `smaller_px` pixels each pixel of a side lies in."""
+    return np.arange(side_px) * smaller_px // side_px

@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,17 @@ def decode_image(
         return np.array(image.convert("RGB"))
 
 
+def resized(image: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.uint8]:
+    """(H, W, 3) RGB -> the same image with (width, height) pixels, each averaged over what it covers.
+
+    Raises MissingExtraError without Pillow.
+    """
+    pillow = _pillow()
+    # The gap lets Pillow begin with whole blocks of pixels.
+    small = pillow.fromarray(image).resize(size_px, pillow.Resampling.BILINEAR, reducing_gap=3.0)
+    return np.asarray(small, dtype=np.uint8)
+
+
 def decode_instance_ids(
     source: bytes | Path, field: str = "masks", max_pixels: int = MAX_PIXELS
 ) -> NDArray[np.uint16]:
@@ -69,10 +80,7 @@ def decode_instance_ids(
 def _open(
     source: bytes | Path, field: str, max_pixels: int, error_type: type[InputError]
 ) -> PillowImage.Image:
-    try:
-        pillow = importlib.import_module("PIL.Image")
-    except ModuleNotFoundError:
-        raise MissingExtraError("pillow", "label") from None
+    pillow = _pillow()
     try:
         image: PillowImage.Image = pillow.open(
             source if isinstance(source, Path) else io.BytesIO(source), formats=("PNG", "JPEG")
@@ -91,6 +99,13 @@ def _open(
             "Give a smaller image (and scale its calibration alike).",
         )
     return image
+
+
+def _pillow() -> Any:
+    try:
+        return importlib.import_module("PIL.Image")
+    except ModuleNotFoundError:
+        raise MissingExtraError("pillow", "label") from None
 
 
 def _load(image: PillowImage.Image, field: str, error_type: type[InputError]) -> None:

@@ -43,7 +43,7 @@ def detector_file(
     return save(path, nodes, [IMAGE], outputs, {"classes": json.dumps(list(classes))})
 
 
-def brightness_detector(path: Path) -> Path:
+def brightness_detector(path: Path, **metadata: str) -> Path:
     """A detector of one Car, with a mask: the pixels whose red is above 128, and the box around them."""
     nodes = [
         constant("zero", TensorProto.INT64, [1], [0]),
@@ -74,4 +74,4 @@ def brightness_detector(path: Path) -> Path:
         value("categories", TensorProto.INT64, (1,)),
         value("masks", TensorProto.BOOL, (1, "H", "W")),
     ]
-    return save(path, nodes, [IMAGE], outputs, {"classes": '["Car"]'})
+    return save(path, nodes, [IMAGE], outputs, {"classes": '["Car"]'} | metadata)

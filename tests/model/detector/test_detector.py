@@ -162,3 +162,30 @@ def test_a_frame_gets_prompts_and_masks_and_unknown_classes_stay(tmp_path: Path)
 
     with pytest.raises(ImageError, match="frame 'by_hand' has no image to find objects in"):
         find_prompts(given, Detector.open(unknown), ACCURATE.detection)
+
+
+def test_large_images_are_scaled_down_where_the_file_asks_for_it(tmp_path: Path) -> None:
+    detector = Detector.open(brightness_detector(tmp_path / "own.onnx", longest_side_px="40"))
+    small = np.zeros((30, 40, 3), np.uint8)
+    small[4:9, 6:16, 0] = 200
+    expected = detector.detect(small)
+    assert expected.prompts == (Prompt("Car", (6.0, 4.0, 16.0, 9.0), 0.9),)
+    large = small.repeat(5, axis=0).repeat(5, axis=1)
+    found = detector.detect(large)
+    assert found.prompts == (Prompt("Car", (30.0, 20.0, 80.0, 45.0), 0.9),)
+    np.testing.assert_array_equal(found.instance_ids, large[..., 0] // 200)
+    # What is averaged: stripes of one pixel are grey, and grey is not bright.
+    striped = large.copy()
+    striped[:, ::2] = 0
+    striped[:10, :10] = 255
+    assert detector.detect(striped).prompts[0].box_px == (0.0, 0.0, 10.0, 10.0)
+    # An image of one row has one row still.
+    found = detector.detect(np.full((1, 1000, 3), 255, np.uint8))
+    assert found.prompts[0].box_px == (0.0, 0.0, 1000.0, 1.0)
+
+
+@pytest.mark.parametrize("side", ["", "1280.0", "31", "-64", "wide", "9" * 20])
+def test_a_longest_side_that_is_none(tmp_path: Path, side: str) -> None:
+    path = brightness_detector(tmp_path / "own.onnx", longest_side_px=side)
+    with pytest.raises(ModelFileError, match=r"'longest_side_px' is .*, no number of at least 32"):
+        Detector.open(path)

@@ -85,7 +85,17 @@ def iou_with(prompt: Prompt, box_px: tuple[float, float, float, float]) -> float
     return float(iou_2d(np.array([prompt.box_px]), np.array([box_px]))[0])
 
 
-@pytest.mark.parametrize("size", [(1, 1), (1, 900), (900, 1), (31, 33), (32, 32), (375, 1242), (1080, 1920)])
+def test_a_camera_of_many_pixels_sees_the_same(detector: Detector) -> None:
+    image = generate(4).frame.image
+    assert image is not None
+    few = detector.detect(image, min_score=0.5).prompts
+    many = detector.detect(image.repeat(3, axis=0).repeat(3, axis=1), min_score=0.4).prompts
+    assert len(few) >= 4
+    for prompt in few:
+        assert found_of(many, tuple(3 * edge for edge in prompt.box_px), {prompt.category})
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 900), (900, 1), (31, 33), (32, 32), (375, 1242), (6000, 8000)])
 def test_any_size(detector: Detector, size: tuple[int, int]) -> None:
     noise = np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8)
     for image in (noise, np.zeros_like(noise), np.full_like(noise, 255)):
