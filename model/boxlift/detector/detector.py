@@ -154,11 +154,11 @@ class Detector:
 
 def _instance_ids(masks: NDArray[Any], kept: NDArray[np.intp], shape: tuple[int, int]) -> NDArray[np.uint16]:
     """(N, h, w) masks and those that are kept, best first -> `shape` (H, W): place among the kept + 1."""
-    instance_ids = np.zeros(masks.shape[1:], np.uint16)
+    _, height, width = masks.shape
+    instance_ids = np.zeros((height, width), np.uint16)
     for place in range(len(kept) - 1, -1, -1):
         instance_ids[masks[kept[place]] > 0.5] = place + 1
-    rows = _nearest(shape[0], instance_ids.shape[0])
-    columns = _nearest(shape[1], instance_ids.shape[1])
+    rows, columns = _nearest(shape[0], height), _nearest(shape[1], width)
     enlarged: NDArray[np.uint16] = instance_ids[rows[:, None], columns]
     return enlarged
 
