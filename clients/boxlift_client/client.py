@@ -4,7 +4,8 @@
 ...     answer = client.label_files(Path("000010.bin"), Path("000010.txt"), prompts, image=Path("000010.png"))
 ...     print(answer.kitti_text)
 
-What is sent is built in label_request, what comes back is read in label_answer; here it only travels.
+What is sent is built in label_request and detect_request, what comes back is read in label_answer and
+detect_answer; here it only travels.
 """
 
 from __future__ import annotations
@@ -15,16 +16,22 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
+from boxlift.camera import Calibration
 from boxlift.errors import MissingExtraError
 from boxlift.frame import Frame, Prompt
 from boxlift.settings import ACCURATE, LabellerSettings
+from boxlift_client.detect_answer import DetectAnswer
+from boxlift_client.detect_request import File, Parts, parts_of_files, parts_of_image
 from boxlift_client.errors import (
     ServiceError,
     ServiceFailedError,
     ServiceUnreachableError,
     UnexpectedAnswerError,
 )
-from boxlift_client.label_answer import LabelAnswer, problem_error, read_label_answer
+from boxlift_client.label_answer import LabelAnswer, problem_error, read_answer, read_label_answer
 from boxlift_client.label_request import Form, form_of_files, form_of_frame
 
 try:
@@ -89,6 +96,39 @@ class Client:
         form = form_of_files(points, calib, prompts, image=image, masks=masks, name=name, options=options)
         return self._label(form)
 
+    def detect(
+        self,
+        image: NDArray[np.uint8],
+        calibration: Calibration,
+        prompts: Sequence[Prompt] | None = None,
+        *,
+        min_score: float | None = None,
+        name: str = "frame",
+    ) -> DetectAnswer:
+        """Find the objects of one image, (H, W, 3) uint8 RGB, and their 3D boxes; or lift its `prompts`.
+
+        Of `calibration` only the camera is sent. What is found with a score below `min_score` is left out.
+        Raises ServiceError as `label` does, ImageError where the array is no image.
+        """
+        return self._detect(parts_of_image(image, calibration, prompts, min_score, name))
+
+    def detect_files(
+        self,
+        images: Sequence[File],
+        calibs: Sequence[File],
+        prompts: Sequence[Sequence[Prompt]] | None = None,
+        *,
+        min_score: float | None = None,
+        names: Sequence[str] | None = None,
+    ) -> DetectAnswer:
+        """As `detect`, for files, or their bytes, in any format that the service reads.
+
+        calibs: one for all images or one for each. prompts: one sequence per image. names: of the images
+        in the answer; the stems of their files where None. Raises ServiceError as `label` does,
+        InputError where a file cannot be read.
+        """
+        return self._detect(parts_of_files(images, calibs, prompts, min_score, names))
+
     def health(self) -> bool:
         """Whether a service answers at all. Raises nothing where nobody does."""
         return self._answers_ok("/healthz")
@@ -131,6 +171,16 @@ class Client:
     def _label(self, form: Form) -> LabelAnswer:
         return read_label_answer(self.base_url, self._send("POST", "/label", form))
 
+    def _detect(self, parts: Parts) -> DetectAnswer:
+        content = self._send("POST", "/detect", parts)
+        answer = read_answer(self.base_url, content, DetectAnswer, "an answer to /detect")
+        asked = sum(field == "image" for field, _ in parts)
+        if len(answer.images) != asked:
+            raise UnexpectedAnswerError(
+                self.base_url, f"it answers {len(answer.images)} images, {asked} were sent."
+            )
+        return answer
+
     def _answers_ok(self, path: str) -> bool:
         try:
             self._send("GET", path)
@@ -138,14 +188,14 @@ class Client:
             return False
         return True
 
-    def _send(self, method: str, path: str, form: Form | None = None) -> bytes:
+    def _send(self, method: str, path: str, form: Form | Parts | None = None) -> bytes:
         """The body of a success. Raises ServiceError for everything else."""
         response = self._exchange(method, path, form)
         if not response.is_success:
             raise problem_error(self.base_url, response.status_code, response.content)
         return response.content
 
-    def _exchange(self, method: str, path: str, form: Form | None) -> httpx.Response:
+    def _exchange(self, method: str, path: str, form: Form | Parts | None) -> httpx.Response:
         for attempt in range(1, _ATTEMPTS + 1):
             try:
                 return self._http.request(method, path, files=form, headers={"Accept": "application/json"})

@@ -65,6 +65,27 @@ class FrameReport:
     seconds: float = 0.0
 
 
+def report(name: str, work: Callable[[], tuple[Outcome, str, FrameDetails]]) -> FrameReport:
+    """What became of the frame `name` by `work`: outcome, sentence and details, or whatever it raised.
+
+    Raises MissingExtraError, which no other frame would fare better with.
+    """
+    start = perf_counter()
+    try:
+        outcome, sentence, details = work()
+    except MissingExtraError:
+        raise
+    except BoxliftError as error:
+        return FrameReport(name, Outcome.FAILED, str(error), seconds=perf_counter() - start)
+    # One frame's surprise (a full disk, a fault of ours) must not cost the others.
+    except Exception as error:
+        sentence = f"{type(error).__name__}: {error}"
+        return FrameReport(name, Outcome.FAILED, sentence, seconds=perf_counter() - start)
+    results = tuple((item.result, item.sentence) for item in details.objects)
+    warnings = tuple((item.name, item.sentence) for item in details.warnings)
+    return FrameReport(name, outcome, sentence, results, warnings, seconds=perf_counter() - start)
+
+
 class FrameWorker:
     """Labels the frames of a job one by one; `label` is a labeller here or a service elsewhere.
 
@@ -81,30 +102,21 @@ class FrameWorker:
 
         Raises MissingExtraError, which no other frame would fare better with.
         """
-        start = perf_counter()
+        return report(name, lambda: self._label_and_write(name))
+
+    def _label_and_write(self, name: str) -> tuple[Outcome, str, FrameDetails]:
+        frame, outcome, sentence = None, Outcome.LABELLED, ""
         try:
-            frame, outcome, sentence = None, Outcome.LABELLED, ""
-            try:
-                frame = self._source.load(name, masks=self._job.masks, with_image=self._job.detects)
-            except NoLidarError as error:
-                outcome, sentence = Outcome.SKIPPED, str(error)
-            prompts = self._prompts(name, frame)
-            if frame is None:
-                details = details_of(FrameLabels.without_boxes(name, prompts, Result.NO_LIDAR))
-            else:
-                details = self._label(replace(frame, prompts=prompts))
-            write_label_files(self._job.out, name, details)
-        except MissingExtraError:
-            raise
-        except BoxliftError as error:
-            return FrameReport(name, Outcome.FAILED, str(error), seconds=perf_counter() - start)
-        # One frame's surprise (a full disk, a fault of ours) must not cost the others.
-        except Exception as error:
-            sentence = f"{type(error).__name__}: {error}"
-            return FrameReport(name, Outcome.FAILED, sentence, seconds=perf_counter() - start)
-        results = tuple((item.result, item.sentence) for item in details.objects)
-        warnings = tuple((item.name, item.sentence) for item in details.warnings)
-        return FrameReport(name, outcome, sentence, results, warnings, seconds=perf_counter() - start)
+            frame = self._source.load(name, masks=self._job.masks, with_image=self._job.detects)
+        except NoLidarError as error:
+            outcome, sentence = Outcome.SKIPPED, str(error)
+        prompts = self._prompts(name, frame)
+        if frame is None:
+            details = details_of(FrameLabels.without_boxes(name, prompts, Result.NO_LIDAR))
+        else:
+            details = self._label(replace(frame, prompts=prompts))
+        write_label_files(self._job.out, name, details)
+        return outcome, sentence, details
 
     def _prompts(self, name: str, frame: Frame | None) -> tuple[Prompt, ...]:
         """Those on disk; none yet where they are to be found in the image. Raises InputError."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from boxlift.formats.details import FrameDetails, kitti_text
 from boxlift_client.errors import (
@@ -15,6 +15,8 @@ from boxlift_client.errors import (
     ServiceProblemError,
     UnexpectedAnswerError,
 )
+
+Answer = TypeVar("Answer", bound=BaseModel)
 
 
 class LabelAnswer(FrameDetails):
@@ -44,14 +46,19 @@ class LabelAnswer(FrameDetails):
 
 def read_label_answer(url: str, content: bytes) -> LabelAnswer:
     """The body of a success. Raises UnexpectedAnswerError."""
+    return read_answer(url, content, LabelAnswer, "a label answer")
+
+
+def read_answer(url: str, content: bytes, answer_type: type[Answer], what: str) -> Answer:
+    """The body of a success as `answer_type`, which errors call `what`. Raises UnexpectedAnswerError."""
     try:
-        return LabelAnswer.model_validate_json(content)
+        return answer_type.model_validate_json(content)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         raise UnexpectedAnswerError(
             url,
-            f"the answer is not a label answer ({where or 'body'}: {first['msg']}). Is it a boxlift service, "
+            f"the answer is not {what} ({where or 'body'}: {first['msg']}). Is it a boxlift service, "
             "and of this version?",
         ) from None
 

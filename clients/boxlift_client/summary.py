@@ -16,6 +16,7 @@ class RunSummary:
     """Frames per outcome, prompts per result, every frame that has no labels, and every one that warns.
 
     examples: result -> the first frame by name that had it, and the sentence there. seconds: of the run.
+    noun: what the text calls that which has a result.
     """
 
     frames: Counter[Outcome] = field(default_factory=Counter)
@@ -24,6 +25,7 @@ class RunSummary:
     unlabelled: list[FrameReport] = field(default_factory=list)
     warned: list[FrameReport] = field(default_factory=list)
     seconds: float = 0.0
+    noun: str = "prompt"
 
     def add(self, report: FrameReport) -> None:
         """Count one frame."""
@@ -49,7 +51,7 @@ class RunSummary:
         head = ", ".join(f"{self.frames[outcome]} {outcome}" for outcome in Outcome)
         pace = f", {total / self.seconds:.1f} a second" if self.seconds > 0 else ""
         lines = [f"{_counted(total, 'frame')}: {head}; {self.seconds:.1f} s{pace}."]
-        lines.append(f"{_counted(self.results.total(), 'prompt')}{':' if self.results else '.'}")
+        lines.append(f"{_counted(self.results.total(), self.noun)}{':' if self.results else '.'}")
         for result, count in self.results.most_common():
             frame, sentence = self.examples[result]
             lines.append(f"  {count:6d}  {result:22} e.g. {frame}: {sentence}")

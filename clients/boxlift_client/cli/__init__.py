@@ -15,6 +15,7 @@ except ModuleNotFoundError:
     sys.exit(f"error: {MissingExtraError('typer', 'client')}")
 
 from boxlift_client.cli.demo import demo
+from boxlift_client.cli.detect import detect
 from boxlift_client.cli.evaluate import evaluate
 from boxlift_client.cli.label import label
 from boxlift_client.cli.serve import serve
@@ -31,7 +32,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (demo, serve, label, evaluate, show, train):
+for command in (demo, serve, label, detect, evaluate, show, train):
     app.command()(command)
 
 

@@ -1,10 +1,11 @@
-"""What maps the frames of a job to workers: one file per engine, all behind Engine."""
+"""What maps the frames of a job to workers: one file per engine, all behind Engine or DetectEngine."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from typing import Protocol
 
+from boxlift_client.detect_job import DetectJob
 from boxlift_client.job import FrameReport, LabelJob
 
 
@@ -13,3 +14,10 @@ class Engine(Protocol):
 
     def run(self, job: LabelJob, names: Sequence[str]) -> Iterator[FrameReport]:
         """One report per frame, as they finish. Raises BoxliftError where no frame could be labelled."""
+
+
+class DetectEngine(Protocol):
+    """Detects in the images of a job, in any order, each once."""
+
+    def run(self, job: DetectJob, names: Sequence[str]) -> Iterator[FrameReport]:
+        """One report per image, as they finish. Raises BoxliftError where no image could be looked at."""

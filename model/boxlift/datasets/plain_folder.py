@@ -60,15 +60,15 @@ class PlainFolder:
 
     @cached_property
     def _points(self) -> dict[str, Path]:
-        return _by_stem(self.root / "velodyne", point_cloud.SUFFIXES)
+        return files_by_stem(self.root / "velodyne", point_cloud.SUFFIXES)
 
     @cached_property
     def _images(self) -> dict[str, Path]:
-        return _by_stem(self.root / "image_2", image.SUFFIXES)
+        return files_by_stem(self.root / "image_2", image.SUFFIXES)
 
     @cached_property
     def _calibrations(self) -> dict[str, Path]:
-        return _by_stem(self.root / "calib", calibration.SUFFIXES)
+        return files_by_stem(self.root / "calib", calibration.SUFFIXES)
 
     @cached_property
     def _calibration_for_all(self) -> ParsedCalibration | None:
@@ -105,7 +105,7 @@ class PlainFolder:
         return size
 
 
-def _by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
+def files_by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
     """Files with one of the suffixes by stem; the earlier suffix wins. Hidden files are none."""
     if not folder.is_dir():
         return {}

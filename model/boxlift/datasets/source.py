@@ -14,12 +14,16 @@ from boxlift.formats.kitti_label import KittiObject
 from boxlift.frame import Frame, Prompt
 
 
-class FrameSource(Protocol):
-    """Frames by name."""
+class Source(Protocol):
+    """A folder of frames or images."""
 
     @property
     def root(self) -> Path:
-        """The folder that holds velodyne/ and calib/."""
+        """The folder beside whose parts (velodyne/, image_2/, calib/) labels may lie."""
+
+
+class FrameSource(Source, Protocol):
+    """Frames by name."""
 
     @property
     def names(self) -> Sequence[str]:
@@ -60,7 +64,7 @@ def open_source(root: Path) -> FrameSource:
     )
 
 
-def find_labels(labels: str | Path, source: FrameSource) -> Path:
+def find_labels(labels: str | Path, source: Source) -> Path:
     """The folder `labels` of KITTI text files: inside the source (`label_2`, `det_2d`), else as a path.
 
     Raises DatasetError where there is none.
@@ -75,7 +79,7 @@ def find_labels(labels: str | Path, source: FrameSource) -> Path:
     )
 
 
-def load_objects(labels: str | Path, source: FrameSource, name: str) -> list[KittiObject]:
+def load_objects(labels: str | Path, source: Source, name: str) -> list[KittiObject]:
     """A frame's lines from the KITTI text files of `labels` (see find_labels).
 
     Raises DatasetError where folder or file is missing, LabelFormatError where a line is malformed.
@@ -88,6 +92,6 @@ def load_objects(labels: str | Path, source: FrameSource, name: str) -> list[Kit
     return kitti_label.read_file(path)
 
 
-def load_prompts(labels: str | Path, source: FrameSource, name: str) -> tuple[Prompt, ...]:
+def load_prompts(labels: str | Path, source: Source, name: str) -> tuple[Prompt, ...]:
     """The 2D boxes of load_objects as prompts, DontCare left out. Raises as load_objects does."""
     return kitti_label.prompts_of(load_objects(labels, source, name))

@@ -116,7 +116,9 @@ class FrameDetails(_Details):
         (), description="Doubts about the calibration; labels of a frame that has any may be worthless."
     )
     model_digest: str | None = Field(
-        None, description="SHA-256 of the file of the detector that found the prompts; null: they were given."
+        None,
+        description="SHA-256 of the file of the detector that found the prompts, or of the monocular model "
+        "that predicted the boxes; null: prompts were given, and LiDAR.",
     )
 
 
