@@ -87,11 +87,15 @@ class OnnxModel:
     def __init__(self, path: Path, interface: Interface, session: Any, digest: str) -> None:
         self.path = path
         self.digest = digest
-        self.metadata: Mapping[str, str] = dict(session.get_modelmeta().custom_metadata_map)
         self._interface = interface
         self._session = session
-        present = {node.name for node in session.get_outputs()}
-        self._outputs = tuple(tensor for tensor in interface.outputs if tensor.name in present)
+        try:
+            self.metadata: Mapping[str, str] = dict(session.get_modelmeta().custom_metadata_map)
+            self._given_inputs = {node.name: node for node in session.get_inputs()}
+            self._given_outputs = {node.name: node for node in session.get_outputs()}
+        except UnicodeDecodeError:
+            raise self._error("its names or metadata are no text; the file is damaged.") from None
+        self._outputs = tuple(tensor for tensor in interface.outputs if tensor.name in self._given_outputs)
 
     @classmethod
     def open(cls, path: Path | str, interface: Interface, threads: int = 1) -> OnnxModel:
@@ -114,7 +118,12 @@ class OnnxModel:
         for pool in ("intra_op", "inter_op"):
             options.add_session_config_entry(f"session.{pool}.allow_spinning", "0")
         try:
-            session = runtime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+            session = runtime.InferenceSession(
+                str(path),
+                options,
+                providers=["CPUExecutionProvider"],
+                enable_fallback=False,  # there is nothing to fall back on, and it prints
+            )
         # ONNX Runtime's errors are of a dozen types with no base but Exception.
         except Exception as error:
             raise ModelFileError(
@@ -166,7 +175,7 @@ class OnnxModel:
         return tuple(names)
 
     def _check_inputs(self) -> None:
-        given = {node.name: node for node in self._session.get_inputs()}
+        given = dict(self._given_inputs)
         for tensor in self._interface.inputs:
             node = given.pop(tensor.name, None)
             if node is None:
@@ -189,10 +198,9 @@ class OnnxModel:
             raise self._error(f"the model wants an input {next(iter(given))!r} that nobody gives it.")
 
     def _check_outputs(self) -> None:
-        given = {node.name: node for node in self._session.get_outputs()}
         for tensor in self._interface.outputs:
-            if tensor.name in given:
-                self._check_type(tensor, given[tensor.name], "output")
+            if tensor.name in self._given_outputs:
+                self._check_type(tensor, self._given_outputs[tensor.name], "output")
             elif not tensor.optional:
                 raise self._error(f"the model has no output {tensor.name!r} ({self._names()}).")
 
@@ -209,9 +217,8 @@ class OnnxModel:
                 raise self._error(f"its property {key!r} is {self.metadata[key]!r:.60}, not {value!r}.")
 
     def _names(self) -> str:
-        inputs = [node.name for node in self._session.get_inputs()]
-        outputs = [node.name for node in self._session.get_outputs()]
-        return f"{', '.join(inputs) or 'nothing'} -> {', '.join(outputs) or 'nothing'}"[:200]
+        inputs, outputs = ", ".join(self._given_inputs), ", ".join(self._given_outputs)
+        return f"{inputs or 'nothing'} -> {outputs or 'nothing'}"[:200]
 
     def _error(self, problem: str) -> ModelFileError:
         return ModelFileError(str(self.path), problem, self._interface.remedy)
