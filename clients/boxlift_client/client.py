@@ -59,12 +59,16 @@ class Client:
         except httpx.InvalidURL as error:
             raise ServiceUnreachableError(base_url, f"this is no URL ({error}).") from None
 
-    def label(self, frame: Frame, settings: LabellerSettings = ACCURATE) -> LabelAnswer:
+    def label(
+        self, frame: Frame, settings: LabellerSettings = ACCURATE, *, detect: bool = False
+    ) -> LabelAnswer:
         """Label a frame's prompts with exactly these settings: the labels of Labeller(settings), rounded.
 
-        Raises ServiceError: RequestRefusedError where the frame is at fault, and see its tree.
+        detect: the service finds the prompts, in the frame's image, instead of those that it has. Raises
+        ServiceError (RequestRefusedError where the frame is at fault, and see its tree), ImageError where
+        there is no image to detect in.
         """
-        answer = self._label(form_of_frame(frame, settings))
+        answer = self._label(form_of_frame(frame, settings, detect=detect))
         if answer.settings_fingerprint != settings.fingerprint():
             raise UnexpectedAnswerError(
                 self.base_url,
@@ -77,7 +81,7 @@ class Client:
         self,
         points: Path | str | bytes,
         calib: Path | str | bytes,
-        prompts: Sequence[Prompt],
+        prompts: Sequence[Prompt] | None = None,
         *,
         image: Path | str | bytes | None = None,
         masks: Path | str | bytes | None = None,
@@ -86,8 +90,9 @@ class Client:
     ) -> LabelAnswer:
         """Label files, or their bytes, in any format that the service reads.
 
-        points: .bin, .npy, .npz, .pcd or .ply. calib: KITTI text or JSON. image: PNG or JPEG, needed
-        where `calib` does not say image_size. masks: 16-bit PNG, prompt index + 1. name: of the frame,
+        points: .bin, .npy, .npz, .pcd or .ply. calib: KITTI text or JSON. prompts: without them the service
+        finds the objects in the image. image: PNG or JPEG, needed for that and where `calib` does not say
+        image_size. masks: 16-bit PNG, prompt index + 1. name: of the frame,
         which seeds random choices; the stem of a points file where None. options: a preset and what
         to change of it, e.g. {"preset": "release", "fit": {"method": "adam"}}.
 

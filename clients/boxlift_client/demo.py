@@ -10,39 +10,48 @@ from boxlift.datasets.generated import GeneratedFrame, generate, write_dataset
 from boxlift.evaluation import Evaluation, evaluate_folders
 from boxlift_client.cli.progress import OnProgress, progress_bar
 from boxlift_client.engines.http import HttpEngine
-from boxlift_client.job import LabelJob
+from boxlift_client.job import DETECTOR, LabelJob
 from boxlift_client.pictures import draw_labels_on_disk, write_picture
 from boxlift_client.runner import label_dataset
 from boxlift_client.service_process import running_service
-from boxlift_client.summary import RunSummary
 
-_PROMPTS = "label_2"
+_LABEL_2 = "label_2"
+_WHENCE = {
+    _LABEL_2: f"2D boxes from {_LABEL_2}",
+    DETECTOR: "2D boxes found in the images by the detector",
+}
 _COLUMNS = "{:12}{:>8}{:>8}{:>14}{:>14}{:>13}{:>11}{:>13}"
 
 
-def run_demo(out: Path, frame_count: int, seed: int) -> RunSummary:
-    """Write OUT/dataset, OUT/labels and OUT/pictures, and print what happens and where things are."""
-    dataset, labels, pictures = out / "dataset", out / "labels", out / "pictures"
+def run_demo(out: Path, frame_count: int, seed: int) -> bool:
+    """Write OUT/dataset, OUT/labels, OUT/labels_from_images and OUT/pictures, and print what happens.
+
+    Returns whether every frame was labelled.
+    """
+    dataset, pictures = out / "dataset", out / "pictures"
+    given, found = out / "labels", out / "labels_from_images"
+    truth = dataset / "training" / "label_2"
 
     start = perf_counter()
     with progress_bar("Generating") as progress:
         names = write_dataset(dataset, _generated(frame_count, seed, progress))
     print(f"Generated {frame_count} frames in {perf_counter() - start:.0f} s: {dataset}")
 
-    with running_service() as url, progress_bar("Labelling") as progress:
+    complete = True
+    with running_service() as url:
         print(f"Started the service: {url}")
-        job = LabelJob(dataset, labels, _PROMPTS)
-        summary = label_dataset(job, HttpEngine(url), names, progress)
-    print(f"Labelled over HTTP, prompts from {_PROMPTS}: {labels}\n{summary.text()}\n")
-
-    truth = dataset / "training" / "label_2"
-    print(f"{_quality_table(evaluate_folders(truth, labels, names))}\n")
+        for prompts, labels in ((_LABEL_2, given), (DETECTOR, found)):
+            with progress_bar("Labelling") as progress:
+                summary = label_dataset(LabelJob(dataset, labels, prompts), HttpEngine(url), names, progress)
+            complete &= summary.complete
+            print(f"\nLabelled over HTTP, {_WHENCE[prompts]}: {labels}\n{summary.text()}")
+            print(_quality_table(evaluate_folders(truth, labels, names)))
 
     for name in names:
-        write_picture(pictures / f"{name}.png", draw_labels_on_disk(dataset, name, labels, _PROMPTS))
-    print(f"Pictures of labels (coloured) and truth (white): {pictures}/*.png")
-    print(f"Every number: boxlift evaluate --gt {truth} --pred {labels}")
-    return summary
+        write_picture(pictures / f"{name}.png", draw_labels_on_disk(dataset, name, given, _LABEL_2))
+    print(f"\nPictures of labels (coloured) and truth (white): {pictures}/*.png")
+    print(f"Every number: boxlift evaluate --gt {truth} --pred {given}")
+    return complete
 
 
 def _generated(frame_count: int, seed: int, on_progress: OnProgress) -> Iterator[GeneratedFrame]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boxlift.errors import InputError, MissingExtraError
+from boxlift.errors import ImageError, InputError, MissingExtraError
 from boxlift.formats import prompts as prompt_format
 from boxlift.frame import Frame, Prompt
 from boxlift.settings import LabellerSettings
@@ -28,8 +28,12 @@ _BINARY = "application/octet-stream"
 _TEXT = "text/plain; charset=utf-8"
 
 
-def form_of_frame(frame: Frame, settings: LabellerSettings) -> Form:
-    """The form that asks for `frame` to be labelled with `settings`; its image is not needed for that."""
+def form_of_frame(frame: Frame, settings: LabellerSettings, *, detect: bool = False) -> Form:
+    """The form that asks for `frame` to be labelled with `settings`.
+
+    It holds the prompts and masks and no image; to `detect`, the image alone. Raises ImageError where
+    there is none.
+    """
     width, height = frame.image_size_px
     calibration = {
         "P2": frame.calibration.image_P_cam.tolist(),
@@ -40,18 +44,25 @@ def form_of_frame(frame: Frame, settings: LabellerSettings) -> Form:
         "name": (None, frame.name.encode(), _TEXT),
         "points": ("points.npy", _npy(frame.points_velo[:, :3]), _BINARY),
         "calib": ("calib.json", json.dumps(calibration).encode(), _JSON),
-        "prompts": (None, prompt_format.to_json(frame.prompts).encode(), _JSON),
         "options": (None, settings.model_dump_json().encode(), _JSON),
     }
+    if detect:
+        if frame.image is None:
+            raise ImageError(
+                "image", f"frame {frame.name!r} has no image to find objects in.", "Add it, or give prompts."
+            )
+        form["image"] = ("image.png", _png(frame.image), "image/png")
+        return form
+    form["prompts"] = (None, prompt_format.to_json(frame.prompts).encode(), _JSON)
     if frame.instance_ids is not None:
-        form["masks"] = ("masks.png", _png(frame.instance_ids), "image/png")
+        form["masks"] = ("masks.png", _png(frame.instance_ids.astype(np.uint16)), "image/png")
     return form
 
 
 def form_of_files(
     points: Path | str | bytes,
     calib: Path | str | bytes,
-    prompts: Sequence[Prompt],
+    prompts: Sequence[Prompt] | None,
     *,
     image: Path | str | bytes | None = None,
     masks: Path | str | bytes | None = None,
@@ -62,8 +73,9 @@ def form_of_files(
     form: Form = {
         "points": _file("points", points),
         "calib": _file("calib", calib),
-        "prompts": (None, prompt_format.to_json(prompts).encode(), _JSON),
     }
+    if prompts is not None:
+        form["prompts"] = (None, prompt_format.to_json(prompts).encode(), _JSON)
     if image is not None:
         form["image"] = _file("image", image)
     if masks is not None:
@@ -90,12 +102,12 @@ def _npy(points: NDArray[np.floating]) -> bytes:
     return stream.getvalue()
 
 
-def _png(instance_ids: NDArray[np.unsignedinteger]) -> bytes:
+def _png(pixels: NDArray[np.unsignedinteger]) -> bytes:
     try:
         from PIL import Image
     except ModuleNotFoundError:
         raise MissingExtraError("pillow", "client") from None
     stream = io.BytesIO()
-    # Masks are few large areas: the fastest compression is as good as any.
-    Image.fromarray(instance_ids.astype(np.uint16)).save(stream, "PNG", compress_level=1)
+    # The fastest compression: masks are few large areas, and images hardly get smaller.
+    Image.fromarray(pixels).save(stream, "PNG", compress_level=1)
     return stream.getvalue()

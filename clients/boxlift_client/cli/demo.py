@@ -15,8 +15,8 @@ def demo(
     frames: Annotated[int, typer.Option(min=1, max=1000, help="How many frames.")] = 12,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first frame.")] = 0,
 ) -> None:
-    """Generate frames, label them over HTTP, judge the labels against the truth, draw them."""
+    """Generate frames, label them over HTTP with 2D boxes and without, judge the labels, draw them."""
     from boxlift_client.demo import run_demo
 
-    if not run_demo(out, frames, seed).complete:
+    if not run_demo(out, frames, seed):
         raise typer.Exit(1)
