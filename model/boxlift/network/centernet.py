@@ -125,12 +125,16 @@ def find_peaks(maps: DenseMaps) -> Peaks:
     is_peak = functional.max_pool2d(heat, 3, 1, 1) == heat
     height, width = heat.shape[2:]
     score, index = torch.where(is_peak, heat, 0.0).flatten().topk(min(PEAKS, heat.numel()))
-    cell = index % (height * width)
-    row, column = cell // width, cell % width
+    # Looked up rather than divided out: sizes are not known when this is exported.
+    classes = heat.shape[1]
+    category, row, column = (
+        torch.arange(length, device=heat.device).view(shape).expand(classes, height, width).flatten()[index]
+        for length, shape in ((classes, (-1, 1, 1)), (height, (1, -1, 1)), (width, (1, 1, -1)))
+    )
     frame = torch.zeros_like(row)
     return Peaks(
         score=score,
-        category=index // (height * width),
+        category=category,
         boxes_px=boxes_px_at(maps, frame, row, column),
         parameters=parameters_at(maps, frame, row, column),
     )

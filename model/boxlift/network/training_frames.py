@@ -164,7 +164,7 @@ def _read_cache(path: Path | None, key: str) -> dict[str, Targets]:
     if path is None or not path.exists():
         return {}
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
             if str(stored["key"]) != key:
                 return {}
             columns = {each.name: stored[each.name] for each in fields(Targets)}

@@ -2,43 +2,46 @@
 
 from __future__ import annotations
 
-import warnings
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping, Sequence
 
-import numpy as np
-import onnxruntime
-import torch
-from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor, from_numpy, nn
+from torch.nn import functional
 
-OPSET = 18
+from boxlift.extras import onnxruntime
+from boxlift.network import onnx_files
+from boxlift.network.backbones import MULTIPLE
 
 
-def export(
-    module: nn.Module, inputs: tuple[Tensor, ...], dynamic: tuple[dict[int, Any], ...], path: Path
-) -> None:
-    """Write the module as an ONNX file; `dynamic` names the axes of each input whose size is free."""
-    with warnings.catch_warnings():
-        # torch's own deprecations inside the exporter.
-        warnings.simplefilter("ignore")
-        program = torch.onnx.export(
-            module.eval(),
-            inputs,
-            dynamo=True,
-            opset_version=OPSET,
-            dynamic_shapes=dynamic,
-            verbose=False,
-        )
-    assert program is not None
-    program.save(path)
+def run_exported(
+    module: nn.Module,
+    example: Sequence[Tensor],
+    dynamic: Sequence[Mapping[int, str]],
+    *calls: Sequence[Tensor],
+) -> list[list[Tensor]]:
+    """The outputs of the exported module on one thread, for every call's inputs.
 
-
-def run(path: Path, *inputs: Tensor) -> list[NDArray[np.float32]]:
-    """The outputs of an ONNX file, on one thread."""
-    options = onnxruntime.SessionOptions()
+    dynamic: for each input the axes whose length is free, with a name for each.
+    """
+    inputs = [f"input_{index}" for index in range(len(example))]
+    outputs = _outputs(module, example)
+    model = onnx_files.export(module, example, inputs, [f"output_{i}" for i in range(outputs)], dynamic)
+    runtime = onnxruntime()
+    options = runtime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-    names = [entry.name for entry in session.get_inputs()]
-    outputs = session.run(None, {name: value.numpy() for name, value in zip(names, inputs, strict=True)})
-    return [np.asarray(output) for output in outputs]
+    session = runtime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    results = []
+    for call in calls:
+        found = session.run(None, {name: value.numpy() for name, value in zip(inputs, call, strict=True)})
+        results.append([from_numpy(output) for output in found])
+    return results
+
+
+def padded(image: Tensor) -> Tensor:
+    """(1, 3, H, W) with black below and right up to the next multiples, as exported graphs do it."""
+    height, width = image.shape[2:]
+    return functional.pad(image, (0, -width % MULTIPLE, 0, -height % MULTIPLE))
+
+
+def _outputs(module: nn.Module, example: Sequence[Tensor]) -> int:
+    output = module.eval()(*example)
+    return 1 if isinstance(output, Tensor) else len(output)

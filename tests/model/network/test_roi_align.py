@@ -1,13 +1,11 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 import torch
 from torch import Tensor, nn
 
 from boxlift.network.roi_align import roi_align
-from model.network.exporting import export, run
+from model.network.exporting import run_exported
 
 BOXES_PX = torch.tensor(
     [[10.0, 20, 300, 150], [0, 0, 624, 192], [-20, 100, 60, 220], [33.3, 40.1, 35.2, 48.8]],
@@ -66,15 +64,14 @@ class _Aligned(nn.Module):
         return roi_align(features, boxes_px, 16)
 
 
-def test_exports_with_any_number_of_boxes_and_any_map(tmp_path: Path) -> None:
-    path = tmp_path / "aligned.onnx"
-    any_size = torch.export.Dim.DYNAMIC
+def test_exports_with_any_number_of_boxes_and_any_map() -> None:
     boxes_px = BOXES_PX.float()
-    example = (torch.randn(1, 8, 12, 39), boxes_px)
-    export(_Aligned(), example, ({2: any_size, 3: any_size}, {0: any_size}), path)
-    for count, height, width in ((4, 12, 39), (1, 24, 78), (0, 24, 78)):
-        features = torch.randn(1, 8, height, width)
-        (exported,) = run(path, features, boxes_px[:count])
-        torch.testing.assert_close(
-            torch.from_numpy(exported), roi_align(features, boxes_px[:count], 16), atol=1e-5, rtol=1e-5
-        )
+    calls = [
+        (torch.randn(1, 8, height, width), boxes_px[:count])
+        for count, height, width in ((4, 12, 39), (1, 24, 78), (0, 24, 78))
+    ]
+    free = ({2: "height", 3: "width"}, {0: "boxes"})
+    for (features, boxes), (exported,) in zip(
+        calls, run_exported(_Aligned(), calls[0], free, *calls), strict=True
+    ):
+        torch.testing.assert_close(exported, roi_align(features, boxes, 16), atol=1e-5, rtol=1e-5)
