@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +13,17 @@ from PIL import Image
 from boxlift.datasets import load_prompts, open_source
 from boxlift.datasets.generated import generate
 from boxlift.detector import Detector, find_prompts
-from boxlift.errors import ModelFileError
+from boxlift.errors import ImageError, ModelFileError
 from boxlift.formats import details
 from boxlift.formats.calibration import parse_calibration, to_kitti_text
 from boxlift.formats.image import image_size
 from boxlift.labeller import Labeller
 from boxlift.settings import ACCURATE
 from boxlift_client import LabelJob, Outcome, label_dataset
+from boxlift_client.client import Client
 from boxlift_client.engines.http import HttpEngine
 from boxlift_client.engines.local import LocalEngine
+from boxlift_client.errors import RequestRefusedError
 from clients.command import Boxlift
 from model.detector.detector_files import brightness_detector, detector_file
 
@@ -192,3 +195,23 @@ def test_wrong_options_are_one_line(
         ran = boxlift("show", dataset, "000000", "--out", tmp_path / "a.png", "--prompts", "detector", *given)
         assert ran.status == 2
         assert ran.err.startswith(f"error: {message.replace('TEXT', str(text))}")
+
+
+def test_a_client_sends_the_image_alone(dataset: Path, service_url: str) -> None:
+    split = dataset / "training"
+    frame = open_source(dataset).load("000001", with_image=True)
+    with Client(service_url) as client:
+        by_frame = client.label(frame, ACCURATE, detect=True)
+        by_files = client.label_files(
+            split / "velodyne" / "000001.bin",
+            split / "calib" / "000001.txt",
+            image=split / "image_2" / "000001.png",
+        )
+        with pytest.raises(RequestRefusedError, match="image: "):
+            client.label_files(split / "velodyne" / "000001.bin", split / "calib" / "000001.txt")
+        with pytest.raises(ImageError, match="frame '000001' has no image to find objects in"):
+            client.label(replace(frame, image=None), ACCURATE, detect=True)
+    detector = Detector.open()
+    here = Labeller().label(find_prompts(frame, detector, ACCURATE.detection))
+    assert by_frame.details == by_files.details == details.details_of(here, detector.digest)
+    assert by_frame.model_digest == detector.digest
