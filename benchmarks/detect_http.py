@@ -3,8 +3,9 @@
     python benchmarks/detect_http.py [--image FILE --calib FILE] [--model FILE] [--threads 2] [--repeats 60]
 
 Without --image a frame of 1242 x 375 is generated and sent as PNG. --model is an ONNX file like
-BOXLIFT_MODEL, by default the model that ships. Prints, in milliseconds, the median and the quartiles of each stage as the
-service tells it (Server-Timing), of the client's wall clock, and of the model alone in this process.
+BOXLIFT_MODEL, by default the model that ships. Prints, in milliseconds, the median and the quartiles of each
+stage as the service tells it (Server-Timing), of the client's wall clock, and of the model alone in this
+process.
 """
 
 from __future__ import annotations

@@ -11,7 +11,8 @@ import multiprocessing
 import signal
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, Generic, TypeVar
@@ -43,6 +44,7 @@ class WorkerProcess(Generic[State]):
         self._deadline_s = deadline_s
         self._process: SpawnProcess | None = None
         self._pipe: Connection | None = None
+        self._late = False
 
     @property
     def lives(self) -> bool:
@@ -77,7 +79,8 @@ class WorkerProcess(Generic[State]):
         try:
             self._process.start()
             theirs.close()
-            self._answer()
+            with self._deadline():
+                self._answer()
         except BaseException:
             self.stop()
             raise
@@ -89,11 +92,12 @@ class WorkerProcess(Generic[State]):
         """
         if self._pipe is None:
             raise WorkerDiedError("the worker has not been started.")
-        try:
-            self._pipe.send(work)
-        except OSError:
-            raise self._died() from None
-        return self._answer()
+        with self._deadline():
+            try:
+                self._pipe.send(work)
+            except OSError:
+                raise self._died() from None
+            return self._answer()
 
     def stop(self) -> None:
         """End the process; it is given no time to finish what it does."""
@@ -106,12 +110,27 @@ class WorkerProcess(Generic[State]):
             process.join(_STOPS_WITHIN_S)
             process.close()
 
+    @contextmanager
+    def _deadline(self) -> Iterator[None]:
+        """End the process if the body of the `with` takes longer than it may; its pipe breaks then."""
+        assert self._process is not None
+        self._late = False
+        timer = threading.Timer(self._deadline_s, self._end_late, (self._process,))
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+
+    def _end_late(self, process: SpawnProcess) -> None:
+        self._late = True
+        with suppress(ValueError):  # it has just been closed
+            process.kill()
+
     def _answer(self) -> Any:
         assert self._pipe is not None
         try:
-            if not self._pipe.poll(self._deadline_s):
-                self.stop()
-                raise WorkerDiedError(f"it gave no answer within {self._deadline_s:g} s and was ended.")
             answered, value = self._pipe.recv()
         except (EOFError, OSError):
             raise self._died() from None
@@ -124,6 +143,8 @@ class WorkerProcess(Generic[State]):
         self._process.join(_STOPS_WITHIN_S)
         code = self._process.exitcode
         self.stop()
+        if self._late:
+            return WorkerDiedError(f"it gave no answer within {self._deadline_s:g} s and was ended.")
         if code is not None and code < 0:
             return WorkerDiedError(f"it was ended by {signal.Signals(-code).name}.")
         return WorkerDiedError(f"it ended with status {code}.")

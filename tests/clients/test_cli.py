@@ -213,6 +213,12 @@ def test_serve_says_what_is_wrong(boxlift: Boxlift, monkeypatch: pytest.MonkeyPa
     assert ran.status == 2
     assert ran.err.startswith("error: BOXLIFT_MAX_POINTS: ")
     assert boxlift("serve", "--port", 70_000).status == 2
+    monkeypatch.delenv("BOXLIFT_MAX_POINTS")
+    ran = boxlift("serve", "--port", 0, "--model", "nowhere.onnx")
+    assert ran.status == 2
+    assert ran.err == (
+        "error: BOXLIFT_MODEL: nowhere.onnx: the path does not exist. Give the path of an ONNX model.\n"
+    )
 
 
 def test_help_is_light() -> None:

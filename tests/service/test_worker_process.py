@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -75,6 +76,15 @@ def test_a_worker_that_hangs_is_ended() -> None:
         assert time.monotonic() - start < 30
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
+
+
+def test_a_worker_that_does_not_even_read_is_ended() -> None:
+    with started(deadline_s=5) as worker:
+        pid, _ = worker.call(Count(0))
+        os.kill(pid, signal.SIGSTOP)
+        with pytest.raises(WorkerDiedError, match="no answer within 5 s"):
+            worker.call(Echo(bytes(20_000_000)))
+        assert not worker.lives
 
 
 @pytest.mark.parametrize(

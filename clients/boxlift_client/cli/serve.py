@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -18,12 +19,26 @@ def serve(
     worker_threads: Annotated[
         int | None, typer.Option(min=1, max=64, help="Frames labelled at the same time.  [default: 1]")
     ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="ONNX file of a monocular model of your own.", show_default=False),
+    ] = None,
+    detector: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="ONNX file of a 2D detector of your own.", show_default=False),
+    ] = None,
 ) -> None:
-    """Serve labels over HTTP until interrupted.
+    """Serve labels and detections over HTTP until interrupted.
 
     Every setting is also a variable BOXLIFT_*, e.g. BOXLIFT_MAX_POINTS; an option goes before it.
     """
     from boxlift_client import service_process
 
-    given = {"host": host, "port": port, "worker_threads": worker_threads}
+    given = {
+        "host": host,
+        "port": port,
+        "worker_threads": worker_threads,
+        "model": model,
+        "detector": detector,
+    }
     service_process.serve({name: str(value) for name, value in given.items() if value is not None})
