@@ -109,3 +109,12 @@ def test_missing_gpu_is_named(tmp_path: Path) -> None:
     on_gpu = TrainerSettings(machine=MachineSettings(accelerator="gpu"))
     with pytest.raises(OptionsError, match="no GPU"):
         train(SmallTask(), on_gpu, tmp_path, "small")
+
+
+def test_mixed_precision_by_fabric(tmp_path: Path) -> None:
+    pytest.importorskip("lightning_fabric")
+    mixed = MachineSettings(accelerator="cpu", precision="bf16-mixed")
+    whole = settings(3).model_copy(update={"machine": mixed})
+    _, curve = train(SmallTask(), whole, tmp_path / "whole", "small")
+    assert len(curve) == 3
+    assert curve[-1]["loss"] < curve[0]["loss"]
