@@ -40,7 +40,7 @@ def parse_prompt_lists(
         given = f"{len(values)} lists" if nested else f"{values!r:.60}"
         raise PromptError(
             field,
-            f"it holds {given} for {count} images.",
+            f"it holds {given} for {count} image{'s' if count > 1 else ''}.",
             "Give a list of lists, one per image, [] for none.",
         )
     return tuple(_parse_list(value, f"{field}[{index}]") for index, value in enumerate(values))
