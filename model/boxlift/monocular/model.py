@@ -69,7 +69,7 @@ class Monocular:
         size_px = _image_size(image)
         warnings = _camera_warnings(calibration, size_px)
         with times.stage("resize"):
-            view = view_of(image, calibration, self._focal_px)
+            view = view_of(np.ascontiguousarray(image), calibration, self._focal_px)
         if prompts is None:
             with times.stage("network"):
                 rows = self._run(view, np.empty((0, 4)), [], size_px)

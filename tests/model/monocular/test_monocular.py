@@ -187,6 +187,18 @@ def test_arrays_that_are_no_image(model: Monocular, image: NDArray[np.uint8]) ->
         model.detect("a", image, camera())
 
 
+def test_views_of_arrays_are_images(model: Monocular) -> None:
+    image = np.random.default_rng(0).integers(0, 256, (360, 1200, 3), np.uint8)
+    for scale in (1.0, 2.0):
+        expected = model.detect("a", image[:, ::-1].copy(), camera(scale), [CAR])
+        assert (
+            model.detect("a", image[:, ::-1], camera(scale), [CAR]).objects[0].score
+            == expected.objects[0].score
+        )
+    image.setflags(write=False)
+    assert model.detect("a", image, camera()).objects
+
+
 def test_importing_it_loads_nothing_heavy() -> None:
     command = (
         "import sys; import boxlift.monocular; "
