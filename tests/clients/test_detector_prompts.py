@@ -177,7 +177,10 @@ def test_a_file_that_is_no_detector_is_one_error(dataset: Path, tmp_path: Path) 
         (["--detector", "m.onnx", "--prompts", "label_2"], "detector: 'm.onnx' is given without --prompts"),
         (["--min-score", "0.5", "--prompts", "label_2"], "min-score: '0.5' is given without --prompts det"),
         (["--masks", "masks"], "masks: masks number prompts that are given; give --prompts too."),
-        (["--detector", "m.onnx", "--engine", "http"], "detector: the service has its own; leave it out"),
+        (
+            ["--detector", "m.onnx", "--engine", "http"],
+            "detector: the service has its own; give it to boxlift",
+        ),
     ],
 )
 def test_wrong_options_are_one_line(

@@ -94,7 +94,9 @@ def label(
     if priors is not None:
         settings = settings.with_sizes(read_size_priors(priors))
     if detector is not None and engine == "http":
-        raise OptionsError("detector", "the service has its own;", "leave it out, or use --engine local.")
+        raise OptionsError(
+            "detector", "the service has its own;", "give it to boxlift serve, or use --engine local."
+        )
     if masks is not None:
         if prompts == DETECTOR:
             raise OptionsError("masks", "masks number prompts that are given;", "give --prompts too.")
