@@ -18,11 +18,20 @@ _RUNS = Path("runs")
 _SHOWN = 4  # figures of an evaluation
 
 
+def _print_keys(wanted: bool) -> None:
+    if wanted:
+        from boxlift.network.tasks import TASKS, keys_of
+
+        for name in TASKS:
+            print(f'task = "{name}"', *keys_of(name), sep="\n", end="\n\n")
+        raise typer.Exit
+
+
 def train(
     config: Annotated[
         Path,
         typer.Argument(
-            help="TOML file; docs/training.md describes its keys. Paths in it are relative to its folder.",
+            help="TOML file; docs/training.md shows one. Paths in it are relative to its folder.",
             metavar="CONFIG",
             show_default=False,
         ),
@@ -35,6 +44,10 @@ def train(
             show_default=False,
         ),
     ] = None,
+    keys: Annotated[  # noqa: ARG001 - its callback does it
+        bool,
+        typer.Option("--keys", callback=_print_keys, is_eager=True, help="List the keys of the file."),
+    ] = False,
 ) -> None:
     """Train a monocular network, with LiDAR as the only supervision.
 

@@ -69,6 +69,10 @@ class FrameSet(Settings):
     frames: ConfigPath | None = Field(
         None, description="File with the frames to take, one a line; none: all."
     )
+    masks: ConfigPath | None = Field(
+        None,
+        description="Folder of instance masks, as `boxlift label --masks` takes it (paper: Mask R-CNN's).",
+    )
     labels: str = Field("label_2", description="Truth, read only to judge or where targets are label_2.")
     min_score: float = Field(0.0, ge=0, le=1, description="2D boxes of a lower score are left out.")
 
@@ -169,4 +173,50 @@ class MonocularSettings(Settings):
     model: ModelSettings = ModelSettings()
     loss: DirectLossSettings = DirectLossSettings()
     augmentation: AugmentationSettings = AugmentationSettings()
+    trainer: TrainerSettings = TrainerSettings()
+
+
+class RowSettings(Settings):
+    """How pseudo labels are cleaned, and rows to learn from are made of them; all ours."""
+
+    views: int = Field(4, ge=1, le=64, description="Views of each frame; the first is the frame as it is.")
+    shifts: int = Field(1, ge=0, le=32, description="Shifted copies of each box in each view.")
+    shift_share: float = Field(
+        0.05, ge=0, le=0.3, description="Standard deviation of a shifted edge, as a share of the side."
+    )
+    least_probability: float = Field(
+        0.3, ge=0, le=1, description="Pseudo labels less sure than this teach no box."
+    )
+    largest_disagreement: float = Field(
+        0.25,
+        gt=0,
+        le=5,
+        description="Nor do those whose depth is off by more than this (logarithm) from their height's.",
+    )
+    duplicate_weight: float = Field(
+        0.3, ge=0, le=1, description="Of the box of an object that has a surer 2D box."
+    )
+
+
+class LifterModelSettings(Settings):
+    """The head that ships."""
+
+    blind_voices: int = Field(4, ge=0, le=32, description="Small networks that hear geometry only.")
+    seeing_voices: int = Field(4, ge=0, le=32, description="Small networks that see RoI features, too.")
+    channels: int = Field(16, ge=1, le=256, description="Channels that RoI features are reduced to.")
+    width: int = Field(96, ge=1, le=4096, description="Width of the layer that sees the RoI.")
+    dropout: float = Field(0.3, ge=0, lt=1, description="Of what the RoI shows.")
+    sizes: Literal["frozen", "learned"] = Field("frozen", description="Dimensions, as in [model] there.")
+
+
+class LifterSettings(Settings):
+    """The training of the head that ships (task = "lifter"): pseudo labels, NanoDet's frozen trunk."""
+
+    data: DataSettings = DataSettings(
+        targets="accurate", categories=("Car", "Truck", "Pedestrian", "Cyclist")
+    )
+    rows: RowSettings = RowSettings()
+    model: LifterModelSettings = LifterModelSettings()
+    augmentation: AugmentationSettings = AugmentationSettings()
+    share: float = Field(0.25, gt=0, le=1, description="Of the rows, drawn anew for every epoch.")
     trainer: TrainerSettings = TrainerSettings()

@@ -8,15 +8,15 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, get_args
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from boxlift.errors import OptionsError
-from boxlift.network.config import MonocularSettings, Settings, TrainerSettings
+from boxlift.network.config import LifterSettings, MonocularSettings, Settings, TrainerSettings
 from boxlift.network.task import Task
 
-_REMEDY = "boxlift/network/config.py lists every key and its range."
+_REMEDY = "boxlift train --keys lists every key."
 
 
 class _TaskSettings(Protocol):
@@ -38,7 +38,16 @@ def _monocular(settings: MonocularSettings, folder: Path) -> Task[Any]:
     return MonocularTask(settings, folder)
 
 
-TASKS: dict[str, TaskKind] = {"monocular": TaskKind(MonocularSettings, _monocular)}
+def _lifter(settings: LifterSettings, folder: Path) -> Task[Any]:
+    from boxlift.network.lifter_task import LifterTask
+
+    return LifterTask(settings, folder)
+
+
+TASKS: dict[str, TaskKind] = {
+    "monocular": TaskKind(MonocularSettings, _monocular),
+    "lifter": TaskKind(LifterSettings, _lifter),
+}
 
 
 @dataclass(frozen=True)
@@ -52,6 +61,27 @@ class TrainingConfig:
     def make_task(self, folder: Path) -> Task[Any]:
         """The training that the file describes."""
         return TASKS[self.name].make(self.settings, folder)
+
+
+def keys_of(name: str) -> list[str]:
+    """Every key of a task's TOML file, a line each: key = default, and what it is."""
+    return _keys(TASKS[name].settings, "")
+
+
+def _keys(settings: type[BaseModel], prefix: str) -> list[str]:
+    lines = []
+    for name, field in settings.model_fields.items():
+        inner = field.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            lines += _keys(inner, f"{prefix}{name}.")
+            continue
+        items = [item for item in get_args(inner) if isinstance(item, type) and issubclass(item, BaseModel)]
+        if items:
+            lines += [f"[[{prefix}{name}]]  {field.description}", *_keys(items[0], f"  {prefix}{name}[].")]
+            continue
+        default = "(needed)" if field.is_required() else json.dumps(field.default, default=str)
+        lines.append(f"{prefix}{name} = {'(none)' if default == 'null' else default}  {field.description}")
+    return lines
 
 
 def read_config(path: Path) -> TrainingConfig:

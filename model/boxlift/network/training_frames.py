@@ -128,7 +128,7 @@ def _named(sets: Sequence[FrameSet]) -> Iterator[tuple[int, FrameSet, FrameSourc
 
 def _load(source: FrameSource, frame_set: FrameSet, name: str) -> Frame | None:
     try:
-        return source.load(name, load_prompts(frame_set.prompts, source, name))
+        return source.load(name, load_prompts(frame_set.prompts, source, name), masks=frame_set.masks)
     except NoLidarError:
         return None
 
