@@ -17,6 +17,7 @@ except ModuleNotFoundError:
 from boxlift_client.cli.demo import demo
 from boxlift_client.cli.detect import detect
 from boxlift_client.cli.evaluate import evaluate
+from boxlift_client.cli.export import export
 from boxlift_client.cli.label import label
 from boxlift_client.cli.serve import serve
 from boxlift_client.cli.show import show
@@ -32,7 +33,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (demo, serve, label, detect, evaluate, show, train):
+for command in (demo, serve, label, detect, evaluate, show, train, export):
     app.command()(command)
 
 

@@ -21,6 +21,7 @@ from boxlift.errors import OptionsError
 Curve = list[dict[str, float]]
 
 _FORMAT = 1
+CHECKPOINT_NAME = "checkpoint.pt"
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,10 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     write_atomically(path, buffer.getvalue())
 
 
-def read_checkpoint(path: Path, fingerprint: str) -> Checkpoint | None:
+def read_checkpoint(path: Path, fingerprint: str | None = None) -> Checkpoint | None:
     """The checkpoint at `path`, None where there is none.
 
-    Raises OptionsError where the file is none, or is of a run with other settings.
+    Raises OptionsError where the file is none, or is of a run with another `fingerprint`, where one is given.
     """
     if not path.exists():
         return None
@@ -61,7 +62,7 @@ def read_checkpoint(path: Path, fingerprint: str) -> Checkpoint | None:
         raise OptionsError(
             str(path), f"the file is no checkpoint of this program ({error!s:.120}).", "Name another folder."
         ) from None
-    if checkpoint.fingerprint != fingerprint:
+    if fingerprint not in (None, checkpoint.fingerprint):
         raise OptionsError(
             str(path.parent),
             "the folder holds a run with other settings.",

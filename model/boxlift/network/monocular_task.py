@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -43,6 +44,7 @@ class MonocularTask:
             raise OptionsError(
                 "data.train", "no frame has LiDAR and a usable 2D box.", "Add a [[data.train]] with frames."
             )
+        self._focal_px = float(np.median([frame.image_P_cam[1, 1] for frame in frames]))
         self._judged = load_judged(data.validate_on, data)
         self._batches = FrameBatches(
             frames,
@@ -57,6 +59,8 @@ class MonocularTask:
         """See Task."""
         model = build_network(self._settings.model, len(self._settings.data.categories))
         still = self._settings.augmentation == AugmentationSettings()
+        if isinstance(model, PaperNetwork):
+            model.focal_px.fill_(self._focal_px)
         if model.backbone.frozen and still:
             self._frozen_maps = FrozenMaps(model.backbone)
         return model

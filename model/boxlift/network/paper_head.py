@@ -32,6 +32,9 @@ class PaperNetwork(nn.Module):
         self.roi_strides = settings.roi_strides
         channels = sum(self.backbone.channels[STRIDES.index(stride)] for stride in settings.roi_strides)
         self.head = PaperHead(channels, settings)
+        # Of the frames that it is trained on: the focal length at which it knows the world.
+        self.register_buffer("focal_px", torch.tensor(0.0))
+        self.focal_px: Tensor
 
     def forward(
         self, images: Images, image_P_cam: Tensor, boxes_px: list[Tensor], frozen_size_m: list[Tensor]

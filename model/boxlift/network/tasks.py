@@ -13,6 +13,7 @@ from typing import Any, Protocol, get_args
 from pydantic import BaseModel, ValidationError
 
 from boxlift.errors import OptionsError
+from boxlift.network.checkpoint import CHECKPOINT_NAME, read_checkpoint, write_atomically
 from boxlift.network.config import LifterSettings, MonocularSettings, Settings, TrainerSettings
 from boxlift.network.task import Task
 
@@ -23,13 +24,20 @@ class _TaskSettings(Protocol):
     @property
     def trainer(self) -> TrainerSettings: ...
 
+    def model_dump(self, *, mode: str) -> dict[str, Any]: ...
+
 
 @dataclass(frozen=True)
 class TaskKind:
-    """Settings of a training, and how to make the training from them and the run's folder (for caches)."""
+    """Settings of a training, and how to make the training from them and the run's folder (for caches).
+
+    export writes what was trained as a file of boxlift.monocular.interface: from the settings, the model's
+    state dict, the file's path and what its metadata say besides.
+    """
 
     settings: type[Settings]
     make: Callable[[Any, Path], Task[Any]]
+    export: Callable[[Any, dict[str, Any], Path, dict[str, str]], None] | None = None
 
 
 def _monocular(settings: MonocularSettings, folder: Path) -> Task[Any]:
@@ -44,8 +52,26 @@ def _lifter(settings: LifterSettings, folder: Path) -> Task[Any]:
     return LifterTask(settings, folder)
 
 
+def _export_monocular(
+    settings: MonocularSettings, states: dict[str, Any], path: Path, description: dict[str, str]
+) -> None:
+    from boxlift.network.monocular_task import build_network
+    from boxlift.network.paper_graph import export_paper_network
+    from boxlift.network.paper_head import PaperNetwork
+
+    categories = settings.data.categories
+    network = build_network(settings.model.model_copy(update={"weights": None}), len(categories))
+    if not isinstance(network, PaperNetwork):
+        raise OptionsError(
+            "model.network", "a one_stage network lifts no given 2D boxes.", "Export a two_stage one."
+        )
+    network.load_state_dict(states)
+    export_paper_network(network, categories, path, description)
+
+
+SETTINGS_NAME = "settings.json"
 TASKS: dict[str, TaskKind] = {
-    "monocular": TaskKind(MonocularSettings, _monocular),
+    "monocular": TaskKind(MonocularSettings, _monocular, _export_monocular),
     "lifter": TaskKind(LifterSettings, _lifter),
 }
 
@@ -59,8 +85,33 @@ class TrainingConfig:
     fingerprint: str
 
     def make_task(self, folder: Path) -> Task[Any]:
-        """The training that the file describes."""
+        """The training that the file describes; the run's folder is told which it is."""
+        described = {"task": self.name, "settings": self.settings.model_dump(mode="json")}
+        folder.mkdir(parents=True, exist_ok=True)
+        if not (folder / CHECKPOINT_NAME).exists():
+            write_atomically(folder / SETTINGS_NAME, json.dumps(described, indent=1).encode())
         return TASKS[self.name].make(self.settings, folder)
+
+
+def export_run(folder: Path, path: Path, description: dict[str, str]) -> None:
+    """Write what a run has trained so far as an ONNX file.
+
+    Raises OptionsError where the folder holds no run, or one whose network is no monocular model.
+    """
+    try:
+        described = json.loads((folder / SETTINGS_NAME).read_text(encoding="utf-8"))
+        kind = TASKS[described["task"]]
+        settings = kind.settings.model_validate(described["settings"])
+    except (OSError, ValueError, KeyError) as error:
+        raise OptionsError(
+            str(folder), f"the folder holds no run ({error!s:.120}).", "Name the folder of `boxlift train`."
+        ) from None
+    checkpoint = read_checkpoint(folder / CHECKPOINT_NAME)
+    if checkpoint is None:
+        raise OptionsError(str(folder), "the run has not ended an epoch yet.", "Train on.")
+    if kind.export is None:
+        raise OptionsError(str(folder), f"task {described['task']!r} has no export.", "Name another run.")
+    kind.export(settings, checkpoint.model, path, description)
 
 
 def keys_of(name: str) -> list[str]:

@@ -16,14 +16,12 @@ import torch
 from torch import Tensor, nn
 
 from boxlift.errors import OptionsError
-from boxlift.network.checkpoint import Checkpoint, Curve, read_checkpoint, write_checkpoint
+from boxlift.network.checkpoint import CHECKPOINT_NAME, Checkpoint, Curve, read_checkpoint, write_checkpoint
 from boxlift.network.config import TrainerSettings
 from boxlift.network.curve import CurveFiles
 from boxlift.network.machine import Machine, open_machine
 from boxlift.network.task import Batch, Task
 from boxlift.seeds import seed_of
-
-CHECKPOINT_NAME = "checkpoint.pt"
 
 
 class Watcher(Protocol):

@@ -2,14 +2,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
+from boxlift import Calibration, Prompt
 from boxlift.errors import OptionsError
 from boxlift.formats import kitti_label
+from boxlift.monocular import Monocular
 from boxlift.network.checkpoint import Curve
-from boxlift.network.tasks import read_config
+from boxlift.network.judging import predict
+from boxlift.network.monocular_task import build_network
+from boxlift.network.tasks import export_run, read_config
 from boxlift.network.trainer import train
+from boxlift.network.training_frames import load_judged
 from model.network.generated_data import toml, write_frames
 
 TRAINER = "epochs = {epochs}\nbatch_size = 2\nlearning_rate = {rate}\nevaluate_every = 0\n"
@@ -61,6 +67,48 @@ def test_frozen_features_overfit_two_frames(folder: Path, network: str, targets:
     written = sorted((folder / f"{network}_{targets}" / "predictions" / "data").glob("*.txt"))
     assert [path.stem for path in written] == ["000000", "000001"]
     assert all(line.score is not None for path in written for line in kitti_label.read_file(path))
+
+
+def test_exports_to_the_monocular_interface(folder: Path) -> None:
+    """A trained network becomes a file that the wrapper opens, and says what torch says."""
+    _train(
+        folder,
+        "exported",
+        toml(
+            model='backbone = "resnet18"\nhidden = 16\ndepth = "box_height"',
+            trainer=TRAINER.format(epochs=1, rate=1e-4),
+        ),
+    )
+    path = folder / "model.onnx"
+    export_run(folder / "exported", path, {"training_data": "two generated frames", "licence": "none"})
+    model = Monocular.open(path)
+    assert model.classes == ("Car",)
+    assert model.metadata["training_data"] == "two generated frames"
+    assert float(model.metadata["focal_px"]) == 240
+
+    config = read_config(folder / "exported.toml")
+    frames = load_judged(config.settings.data.validate_on, config.settings.data)  # type: ignore[attr-defined]
+    network = build_network(config.settings.model, 1)  # type: ignore[attr-defined]
+    network.load_state_dict(torch.load(folder / "exported" / "checkpoint.pt")["model"])
+    frame = frames[0].frame
+    prompts = [Prompt("Car", tuple(box)) for box in frame.boxes_px.tolist()]
+    calibration = Calibration(frame.image_P_cam, np.eye(4))
+    lifted = model.detect(frame.name, frame.read_image(), calibration, prompts)
+    expected = predict(network.eval(), frame, ("Car",))
+    assert len(lifted.objects) == len(expected) > 0
+    for label, line in zip(lifted.objects, expected, strict=True):
+        assert label.box is not None
+        # The lines were adjusted along y and rounded to centimetres.
+        np.testing.assert_allclose(
+            label.box.center_cam[0, [0, 2]], np.array(line.bottom_center_cam)[[0, 2]], atol=0.02
+        )
+        assert label.box.rotation_y[0] == pytest.approx(line.rotation_y, abs=0.01)
+    assert model.detect(frame.name, frame.read_image(), calibration).frame_name == frame.name
+
+
+def test_run_that_cannot_be_exported_is_named(tmp_path: Path) -> None:
+    with pytest.raises(OptionsError, match="holds no run"):
+        export_run(tmp_path, tmp_path / "model.onnx", {})
 
 
 def test_learns_from_augmented_frames(folder: Path) -> None:

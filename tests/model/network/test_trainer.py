@@ -12,10 +12,10 @@ import torch
 from torch import Tensor, nn
 
 from boxlift.errors import OptionsError
-from boxlift.network.checkpoint import Curve
+from boxlift.network.checkpoint import CHECKPOINT_NAME, Curve
 from boxlift.network.config import MachineSettings, TrainerSettings
 from boxlift.network.curve import read_metrics
-from boxlift.network.trainer import CHECKPOINT_NAME, learning_rate, train
+from boxlift.network.trainer import learning_rate, train
 from model.network.small_training import SmallTask, settings
 
 EPOCHS = 12
