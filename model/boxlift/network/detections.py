@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from boxlift.network.nanodet import RawDetections
 
@@ -60,9 +61,12 @@ class RoadUsers(nn.Module):
             ],
             -1,
         )
+        # A tiny image has fewer cells than candidates are taken.
+        cells = functional.pad(cells, (0, 0, 0, _CANDIDATES))
+        boxes = functional.pad(raw.boxes_px[0], (0, 0, 0, _CANDIDATES))
         score, kind = cells.max(-1)
         score, order = score.topk(_CANDIDATES)
-        kind, boxes = kind[order], raw.boxes_px[0][order]
+        kind, boxes = kind[order], boxes[order]
         size = torch.stack([width_px, height_px, width_px, height_px]).to(boxes.dtype)
         boxes = torch.minimum(boxes.clamp(min=0), size)
         vehicle = kind <= _TRUCK

@@ -22,6 +22,8 @@ ROI_SIZE = 7
 ROI_CHANNELS = 2 * NECK_CHANNELS
 # RoIs reach this far beyond their box: what an object stands on and next to tells of its depth (ours).
 _ROI_GROWTH = 1.15
+# A detector's score where a user gave the box: what detections of whole cars usually have.
+PROMPT_SCORE = 0.5
 _SLOPE = 0.1
 _GEOMETRY_WIDTH, _JOINT_WIDTH = 48, 64
 # Logarithms of the relative depth spread: where it starts, and its range around that.

@@ -20,15 +20,13 @@ from boxlift.network.augmentation import Sample, augment
 from boxlift.network.config import AugmentationSettings, RowSettings
 from boxlift.network.frame_batches import unchanged
 from boxlift.network.geometry import describe, typical_sizes
-from boxlift.network.lifter import rois_of
+from boxlift.network.lifter import PROMPT_SCORE, rois_of
 from boxlift.network.training_frames import TrainingFrame
 from boxlift.overlap import bev_iou
 from boxlift.seeds import seed_of
 
 Trunk = Callable[[NDArray[np.uint8]], tuple[Tensor, Tensor, Tensor]]
 
-# A detector's score where a user gave the box: what detections of whole cars usually have.
-PROMPT_SCORE = 0.5
 _GIVEN_SHARE = 0.3
 # Two labels that overlap this far in the bird's-eye view are of one object.
 _SAME_OBJECT_IOU = 0.25
@@ -131,7 +129,7 @@ def _rows(
     settings: RowSettings,
 ) -> Rows:
     boxes, category = torch.from_numpy(boxes_px).float(), torch.from_numpy(sample.category)
-    P = torch.from_numpy(sample.image_P_cam).float()
+    P = torch.tensor(sample.image_P_cam, dtype=torch.float32)
     height, width = sample.image.shape[:2]
     size = torch.tensor(float(width)), torch.tensor(float(height))
     geometry = describe(boxes, category, torch.from_numpy(scores).float(), P, size)
