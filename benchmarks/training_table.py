@@ -65,14 +65,14 @@ ROWS: dict[str, tuple[str, dict[str, Any]]] = {
     "labels": ("drawn labels, only these (full supervision)", _LABELLED | {"data.targets": "label_2"}),
     "center_points": (
         "CenterNet-style, direct losses",
-        {"model.network": "one_stage", "model.hidden": 32, "model.depth": "features"},
+        {"model.network": "one_stage", "model.hidden": 16, "model.depth": "features"},
     ),
     "center_labels": (
         "CenterNet-style, drawn labels",
         _LABELLED
         | {
             "model.network": "one_stage",
-            "model.hidden": 32,
+            "model.hidden": 16,
             "model.depth": "features",
             "data.targets": "label_2",
         },
