@@ -65,6 +65,14 @@ def test_killed_training_ends_with_the_same_bytes(folder: Path) -> None:
         assert written[0].read_bytes() == written[1].read_bytes()
 
 
+def test_folder_without_a_run_is_not_exported(folder: Path) -> None:
+    program = "from boxlift_client.cli import main; main()"
+    command = [sys.executable, "-c", program, "export", "data", "--out", "model.onnx"]
+    ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    assert ran.returncode == 2
+    assert "holds no run" in ran.stderr
+
+
 def test_other_settings_in_the_same_folder_are_refused(folder: Path) -> None:
     (folder / "small.toml").write_text(CONFIG.replace("flip = 0.5", "flip = 0.4"))
     process = _start(folder, "whole")

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from boxlift.errors import MissingExtraError
 
@@ -62,10 +64,9 @@ def train(
 
     settings = read_config(config)
     folder = out or _RUNS / config.stem
-    folder.mkdir(parents=True, exist_ok=True)
-    print(f"Reading frames for {folder}.", file=sys.stderr)
-    task = settings.make_task(folder)
     try:
+        with Console(stderr=True).status("Reading frames and what supervises them"):
+            task = settings.make_task(folder)
         with _Bar(settings.settings.trainer.epochs) as bar:
             _, curve = run(task, settings.settings.trainer, folder, settings.fingerprint, bar)
     except KeyboardInterrupt:
@@ -79,9 +80,6 @@ class _Bar:
     """A progress bar over epochs where stderr is a terminal; else a line per epoch."""
 
     def __init__(self, epochs: int) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
         self._shown = sys.stderr.isatty()
         self._progress = Progress(
             TextColumn("{task.description}"),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -64,12 +64,7 @@ class JudgedFrame:
     truth: tuple[KittiObject, ...]
 
 
-def load_frames(
-    sets: Sequence[FrameSet],
-    data: DataSettings,
-    cache: Path | None,
-    progress: Callable[[int, int], None] | None = None,
-) -> list[TrainingFrame]:
+def load_frames(sets: Sequence[FrameSet], data: DataSettings, cache: Path | None) -> list[TrainingFrame]:
     """All frames of the sets that have LiDAR and a usable 2D box, with what supervises them.
 
     cache: a file to read the targets from, or to write them to. Raises DatasetError where frames, images or
@@ -78,11 +73,8 @@ def load_frames(
     chosen = data.model_dump(mode="json", exclude={"train", "validate_on"})
     key = json.dumps([_FORMAT, chosen, [each.model_dump(mode="json") for each in sets]])
     known = _read_cache(cache, key)
-    todo = list(_named(sets))
     frames = []
-    for done, (number, each, source, name) in enumerate(todo):
-        if progress is not None:
-            progress(done, len(todo))
+    for number, each, source, name in _named(sets):
         loaded = _load(source, each, name)
         if loaded is None:
             continue
