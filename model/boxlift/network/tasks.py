@@ -8,23 +8,16 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, get_args
+from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from boxlift.errors import OptionsError
 from boxlift.network.checkpoint import CHECKPOINT_NAME, read_checkpoint, write_atomically
-from boxlift.network.config import LifterSettings, MonocularSettings, Settings, TrainerSettings
+from boxlift.network.config import LifterSettings, MonocularSettings, Settings
 from boxlift.network.task import Task
 
 _REMEDY = "boxlift train --keys lists every key."
-
-
-class _TaskSettings(Protocol):
-    @property
-    def trainer(self) -> TrainerSettings: ...
-
-    def model_dump(self, *, mode: str) -> dict[str, Any]: ...
 
 
 @dataclass(frozen=True)
@@ -78,10 +71,13 @@ TASKS: dict[str, TaskKind] = {
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """A TOML file that was read."""
+    """A TOML file that was read: the task's name and its settings, of the type that TASKS has for it.
+
+    Every task's settings have a `trainer`.
+    """
 
     name: str
-    settings: _TaskSettings
+    settings: Any
     fingerprint: str
 
     def make_task(self, folder: Path) -> Task[Any]:

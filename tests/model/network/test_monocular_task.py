@@ -87,8 +87,8 @@ def test_exports_to_the_monocular_interface(folder: Path) -> None:
     assert float(model.metadata["focal_px"]) == 240
 
     config = read_config(folder / "exported.toml")
-    frames = load_judged(config.settings.data.validate_on, config.settings.data)  # type: ignore[attr-defined]
-    network = build_network(config.settings.model, 1)  # type: ignore[attr-defined]
+    frames = load_judged(config.settings.data.validate_on, config.settings.data)
+    network = build_network(config.settings.model, 1)
     network.load_state_dict(torch.load(folder / "exported" / "checkpoint.pt")["model"])
     frame = frames[0].frame
     prompts = [Prompt("Car", tuple(box)) for box in frame.boxes_px.tolist()]
