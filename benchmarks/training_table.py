@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import csv
 import multiprocessing
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ import numpy as np
 
 from boxlift.datasets import load_objects, open_source
 from boxlift.formats.kitti_label import KittiObject, read_file
+from boxlift.network.frozen_maps import KnownMaps
 
 _DEFAULT_KITTI = Path(__file__).resolve().parents[2] / "shared" / "kitti"
 _JUDGED_IN_A = "2011_09_26_drive_0009_sync"
@@ -33,7 +35,7 @@ _RESAMPLES = 200
 _BASE: dict[str, Any] = {
     "model.backbone": "nanodet",
     "model.freeze_backbone": True,
-    "model.roi_strides": [8, 16],
+    "model.roi_strides": [8],
     "model.hidden": 128,
     "model.depth": "box_height",
     "trainer.evaluate_every": 0,
@@ -150,13 +152,33 @@ def _toml(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else repr(value).replace("'", '"')
 
 
-def run(path: Path, folder: Path) -> None:
-    """Train as `boxlift train` does."""
+# Of the frozen trunk, which all rows share; filled in the process that trains.
+_MAPS: KnownMaps = {}
+
+
+def run(path: Path, folder: Path, other_folders: Sequence[Path]) -> None:
+    """Train as `boxlift train` does; targets that another row extracted are taken from there."""
+    from boxlift.network.monocular_task import TARGETS_NAME, MonocularTask
     from boxlift.network.tasks import read_config
     from boxlift.network.trainer import train
 
     config = read_config(path)
-    train(config.make_task(folder), config.settings.trainer, folder, config.fingerprint)
+    folder.mkdir(parents=True, exist_ok=True)
+    for other in other_folders:
+        if (other / TARGETS_NAME).exists() and not (folder / TARGETS_NAME).exists():
+            shutil.copy(other / TARGETS_NAME, folder)
+    task = MonocularTask(config.settings, folder, _MAPS)
+    train(task, config.settings.trainer, folder, config.fingerprint)
+
+
+def with_same_targets(row: str, fold: str, out: Path) -> list[Path]:
+    """Folders of rows that are supervised by the same targets."""
+
+    def targets(name: str) -> tuple[Any, Any]:
+        changes = ROWS[name][1]
+        return changes.get("data.targets"), changes.get("labelled_only")
+
+    return [out / f"{other}_{fold}" for other in ROWS if other != row and targets(other) == targets(row)]
 
 
 def judged_frames(kitti: Path, folders: dict[str, Path]) -> list[tuple[list[KittiObject], list[KittiObject]]]:
@@ -214,10 +236,12 @@ def main() -> None:
         "trainer.schedule": "cosine",
         "trainer.clip_norm": 10.0,
     }
-    # torch and ONNX Runtime in one process get in each other's way: a process for each piece of work.
-    with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
+    # torch and ONNX Runtime in one process get in each other's way: a process for each.
+    spawn = multiprocessing.get_context("spawn")
+    with spawn.Pool(1) as pool:
         pool.apply(detect_prompts, (kitti, out / "prompts"))
-        write_folds(kitti, out)
+    write_folds(kitti, out)
+    with spawn.Pool(1) as pool:
         print(f"{arguments.epochs} epochs. Cars, AP R40, easy moderate hard (90 % interval of moderate)")
         print(f"{'':52s} BEV .5 | 3D .5 | BEV .3 | 3D .3 | median depth error", flush=True)
         for row in arguments.rows:
@@ -225,7 +249,7 @@ def main() -> None:
             for fold in ("A", "B"):
                 path, folders[fold] = out / f"{row}_{fold}.toml", out / f"{row}_{fold}"
                 path.write_text(config_text(row, fold, kitti, out, trainer))
-                pool.apply(run, (path, folders[fold]))
+                pool.apply(run, (path, folders[fold], with_same_targets(row, fold, out)))
             print(table_row(row, kitti, folders), flush=True)
 
 

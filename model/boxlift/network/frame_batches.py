@@ -66,7 +66,7 @@ class FrameBatches:
             for group in groups:
                 frames = [self._frames[index] for index, _ in group]
                 samples = [unchanged(frame, with_image=False) for frame in frames]
-                yield self._batch(samples, frozen_maps.of([index for index, _ in group], frames))
+                yield self._batch(samples, frozen_maps.of(frames))
             return
         with ThreadPoolExecutor(self._threads) as threads:
             for samples in _ahead(threads, self._sample, groups):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -10,20 +11,23 @@ from torch import Tensor
 from boxlift.network.backbones import MULTIPLE, Backbone
 from boxlift.network.training_frames import TrainingFrame
 
+# The maps of an image by its path.
+KnownMaps = dict[Path, tuple[Tensor, ...]]
+
 
 class FrozenMaps:
-    """The maps of frames by their index in a training."""
+    """Maps of frames by one backbone. `known`: those that it made before, to which new ones are added."""
 
-    def __init__(self, backbone: Backbone) -> None:
+    def __init__(self, backbone: Backbone, known: KnownMaps) -> None:
         self._backbone = backbone
-        self._known: dict[int, tuple[Tensor, ...]] = {}
+        self._known = known
 
-    def of(self, indices: Sequence[int], frames: Sequence[TrainingFrame]) -> tuple[Tensor, ...]:
+    def of(self, frames: Sequence[TrainingFrame]) -> tuple[Tensor, ...]:
         """The maps (B, C, h, w) of frames on the CPU, zeros below and right of the smaller ones."""
-        for index, frame in zip(indices, frames, strict=True):
-            if index not in self._known:
-                self._known[index] = self._maps(frame)
-        levels = zip(*(self._known[index] for index in indices), strict=True)
+        for frame in frames:
+            if frame.image_path not in self._known:
+                self._known[frame.image_path] = self._maps(frame)
+        levels = zip(*(self._known[frame.image_path] for frame in frames), strict=True)
         return tuple(_stacked(level) for level in levels)
 
     @torch.no_grad()

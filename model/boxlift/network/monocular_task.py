@@ -16,7 +16,7 @@ from boxlift.network.centernet import CenterNetwork, detection_loss, object_cell
 from boxlift.network.config import AugmentationSettings, ModelSettings, MonocularSettings
 from boxlift.network.direct_loss import box_loss, direct_loss
 from boxlift.network.frame_batches import FrameBatches
-from boxlift.network.frozen_maps import FrozenMaps
+from boxlift.network.frozen_maps import FrozenMaps, KnownMaps
 from boxlift.network.judging import judge, predict
 from boxlift.network.paper_head import PaperNetwork
 from boxlift.network.training_frames import load_frames, load_judged
@@ -34,10 +34,14 @@ class MonocularTask:
     Raises OptionsError where no frame has a usable 2D box, DatasetError where files are missing.
     """
 
-    def __init__(self, settings: MonocularSettings, folder: Path) -> None:
+    def __init__(
+        self, settings: MonocularSettings, folder: Path, known_maps: KnownMaps | None = None
+    ) -> None:
+        """`known_maps`: maps of a frozen backbone, to be shared by trainings on the same one."""
         data, loss = settings.data, settings.loss
         self._settings = settings
         self._folder = folder
+        self._known_maps: KnownMaps = {} if known_maps is None else known_maps
         self._frozen_maps: FrozenMaps | None = None
         frames = load_frames(data.train, data, folder / TARGETS_NAME)
         if not frames:
@@ -62,7 +66,7 @@ class MonocularTask:
         if isinstance(model, PaperNetwork):
             model.focal_px.fill_(self._focal_px)
         if model.backbone.frozen and still:
-            self._frozen_maps = FrozenMaps(model.backbone)
+            self._frozen_maps = FrozenMaps(model.backbone, self._known_maps)
         return model
 
     def batches(self, epoch: int, generator: torch.Generator) -> Iterator[FrameBatch]:  # noqa: ARG002
