@@ -184,6 +184,10 @@ class RowSettings(Settings):
     shift_share: float = Field(
         0.05, ge=0, le=0.3, description="Standard deviation of a shifted edge, as a share of the side."
     )
+    drawn: bool = Field(
+        True,
+        description="Also learn from boxes as people draw them: the pseudo label's, projected to the image.",
+    )
     least_probability: float = Field(
         0.3, ge=0, le=1, description="Pseudo labels less sure than this teach no box."
     )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from boxlift.boxes import Boxes3D
-from boxlift.camera import Floats
+from boxlift.camera import Calibration, Floats
 from boxlift.network.augmentation import Sample, augment
 from boxlift.network.config import AugmentationSettings, RowSettings
 from boxlift.network.frame_batches import unchanged
@@ -78,10 +78,15 @@ def rows_of_frame(
             sample = augment(sample, augmentation, rng)
         maps = trunk(sample.image)
         for shift in range(settings.shifts + 1):
-            boxes_px = sample.boxes_px if not shift else _shifted(sample, settings.shift_share, rng)
-            given = rng.random(len(boxes_px)) < _GIVEN_SHARE
-            scores = np.where(given, PROMPT_SCORE, frame.score)
             left = likely * (sample.targets.weight > 0)
+            given = rng.random(len(left)) < _GIVEN_SHARE
+            scores = np.where(given, PROMPT_SCORE, frame.score)
+            boxes_px = sample.boxes_px
+            if settings.drawn:
+                drawn = given & (left >= settings.least_probability) & surest
+                boxes_px = np.where(drawn[:, None], _as_drawn(sample), boxes_px)
+            if shift:
+                boxes_px = _shifted(boxes_px, sample, settings.shift_share, rng)
             parts.append(_rows(sample, maps, boxes_px, scores, left, surest, settings))
     return Rows.joined(parts)
 
@@ -109,9 +114,22 @@ def is_surest(frame: TrainingFrame) -> NDArray[np.bool_]:
     return surest
 
 
-def _shifted(sample: Sample, share: float, rng: np.random.Generator) -> Floats:
-    sides = np.tile(sample.boxes_px[:, 2:] - sample.boxes_px[:, :2], 2)
-    moved = sample.boxes_px + sides * rng.normal(0, share, sides.shape).clip(-3 * share, 3 * share)
+def _as_drawn(sample: Sample) -> Floats:
+    """(N, 4) the 2D box that a person would draw: around the whole object, as far as it is in the image."""
+    targets = sample.targets
+    length, width, height = targets.size_m.T
+    boxes = Boxes3D(targets.center_cam, length, width, height, targets.rotation_y)
+    around = boxes.project(Calibration(sample.image_P_cam, np.eye(4)))
+    rows, columns = sample.image.shape[:2]
+    inside = around.clip(0, np.array([columns, rows, columns, rows]) - 1)
+    usable = (inside[:, 2:] - inside[:, :2] >= 2).all(1)
+    drawn: Floats = np.where(usable[:, None], inside, sample.boxes_px)
+    return drawn
+
+
+def _shifted(boxes_px: Floats, sample: Sample, share: float, rng: np.random.Generator) -> Floats:
+    sides = np.tile(boxes_px[:, 2:] - boxes_px[:, :2], 2)
+    moved = boxes_px + sides * rng.normal(0, share, sides.shape).clip(-3 * share, 3 * share)
     height, width = sample.image.shape[:2]
     moved = moved.clip(0, np.array([width, height, width, height]) - 1)
     moved[:, 2:] = np.maximum(moved[:, 2:], moved[:, :2] + 2)

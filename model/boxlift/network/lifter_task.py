@@ -127,7 +127,7 @@ def lift_frame(model: Lifter, trunk: FrozenTrunk, frame: TrainingFrame) -> list[
         torch.from_numpy(frame.boxes_px).float(),
         torch.from_numpy(frame.category),
         torch.from_numpy(frame.score).float(),
-        torch.from_numpy(frame.image_P_cam).float(),
+        torch.tensor(frame.image_P_cam, dtype=torch.float32),
         size,
     )
     centers, sizes, headings = (

@@ -31,7 +31,9 @@ def monocular_graph(lifter: Lifter) -> MonocularGraph:
     return MonocularGraph(trunk, head, lifter, _MIN_SCORE).eval()
 
 
-def export_monocular(graph: MonocularGraph, path: Path, small_path: Path | None, about: Mapping[str, Any]) -> None:
+def export_monocular(
+    graph: MonocularGraph, path: Path, small_path: Path | None, about: Mapping[str, Any]
+) -> None:
     """Write the model, and a smaller one whose weights are 8-bit integers.
 
     about: properties such as name, training_data and licence; classes, sizes and the rest are added.
@@ -50,7 +52,9 @@ def export_monocular(graph: MonocularGraph, path: Path, small_path: Path | None,
         **about,
         "boxlift_interface": "monocular/1",
         "classes": CLASSES,
-        "sizes_m": {name: [round(side, 4) for side in size] for name, size in zip(CLASSES, sizes, strict=True)},
+        "sizes_m": {
+            name: [round(side, 4) for side in size] for name, size in zip(CLASSES, sizes, strict=True)
+        },
         "focal_px": str(FOCAL_PX),
         "heading_period": "pi",
     }

@@ -62,10 +62,21 @@ def _export_monocular(
     export_paper_network(network, categories, path, description)
 
 
+def _export_lifter(
+    settings: LifterSettings, states: dict[str, Any], path: Path, description: dict[str, str]
+) -> None:
+    from boxlift.network.lifter_task import build_lifter
+    from boxlift.network.monocular_export import export_monocular, monocular_graph
+
+    lifter = build_lifter(settings.model)
+    lifter.load_state_dict(states)
+    export_monocular(monocular_graph(lifter), path, path.with_stem(f"{path.stem}_small"), description)
+
+
 SETTINGS_NAME = "settings.json"
 TASKS: dict[str, TaskKind] = {
     "monocular": TaskKind(MonocularSettings, _monocular, _export_monocular),
-    "lifter": TaskKind(LifterSettings, _lifter),
+    "lifter": TaskKind(LifterSettings, _lifter, _export_lifter),
 }
 
 
