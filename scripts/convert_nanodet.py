@@ -51,7 +51,7 @@ def read_weights(model_json: Path) -> dict[str, NDArray[np.generic]]:
 
 
 def convolutions(model_json: Path) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """(kernel, bias) of every convolution by the number in its name; kernels (O, I, H, W) as torch has them."""
+    """(kernel, bias) of every convolution in the order of their numbers; kernels are (O, I, H, W)."""
     weights = read_weights(model_json)
     nodes = json.loads(model_json.read_text())["modelTopology"]["node"]
     kernel_of = {node["name"]: node["input"][1] for node in nodes if node["op"] == "Conv2D"}

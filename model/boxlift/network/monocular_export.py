@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from boxlift.network.nanodet import NanoDetHead, NanoDetTrunk
 # KITTI's, where most of what a model may be trained on comes from; other cameras are resized to it.
 FOCAL_PX = 721.5
 _MIN_SCORE = 0.1
+# The property that holds the arguments of Lifter.
+_LIFTER = "lifter"
 _EXAMPLE_SIZE = (375, 1242)
 
 
@@ -29,6 +32,13 @@ def monocular_graph(lifter: Lifter) -> MonocularGraph:
     onnx_files.load_weights(trunk, weights, "trunk.trunk.")
     onnx_files.load_weights(head, weights, "head.")
     return MonocularGraph(trunk, head, lifter, _MIN_SCORE).eval()
+
+
+def read_lifter(path: Path) -> Lifter:
+    """The head in a file that export_monocular wrote, to go on from or to compare with."""
+    lifter = Lifter(**json.loads(onnx_files.read_metadata(path)[_LIFTER]))
+    onnx_files.load_weights(lifter, onnx_files.read_weights(path), "lifter.")
+    return lifter.eval()
 
 
 def export_monocular(
@@ -57,6 +67,7 @@ def export_monocular(
         },
         "focal_px": str(FOCAL_PX),
         "heading_period": "pi",
+        _LIFTER: graph.lifter.shape,
     }
     if small_path is not None:
         small = type(model)()

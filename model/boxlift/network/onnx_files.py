@@ -175,3 +175,8 @@ def load_weights(module: nn.Module, weights: Mapping[str, NDArray[np.float32]], 
     """Fill a module with the weights that a file has under `prefix`. Raises KeyError where one is missing."""
     state = {name: torch.from_numpy(weights[f"{prefix}{name}"].copy()) for name in module.state_dict()}
     module.load_state_dict(state)
+
+
+def read_metadata(path: Path) -> dict[str, str]:
+    """The properties of a file that `write` wrote."""
+    return {each.key: each.value for each in onnx_module().load(path).metadata_props}
