@@ -105,6 +105,60 @@ def write_sequence_labels(kitti: Path, out: Path) -> dict[str, list[str]]:
     return names
 
 
+_CONFIG = """\
+# Written by benchmarks/monocular_runs.py: fold {fold}.
+task = "lifter"
+
+[data]
+targets = "accurate"
+categories = ["Car", "Truck", "Pedestrian", "Cyclist"]
+{sets}
+[rows]
+views = 4
+shifts = 1
+
+[model]
+blind_voices = 3
+seeing_voices = 3
+
+[augmentation]
+flip = 0.5
+focal = 0.25
+scale = 0.2
+color = 0.2
+
+[trainer]
+epochs = 60
+batch_size = 256
+learning_rate = 1.5e-3
+optimizer = "adamw"
+weight_decay = 0.02
+schedule = "cosine"
+warmup_epochs = 3
+evaluate_every = 0
+"""
+_TRAIN = """
+[[data.train]]
+source = "{source}"
+prompts = "{prompts}"
+frames = "train_{fold}_{part}.txt"
+"""
+
+
+def write_config(kitti: Path, out: Path, fold: str) -> None:
+    """The training of the head that ships, on a fold: OUT/lifter_FOLD.toml."""
+    sets = "".join(
+        _TRAIN.format(
+            source=source_of(kitti, part).resolve(),
+            prompts=(out / f"prompts_{part}").resolve(),
+            fold=fold,
+            part=part,
+        )
+        for part in SETS
+    )
+    (out / f"lifter_{fold}.toml").write_text(_CONFIG.format(fold=fold, sets=sets))
+
+
 def _line(prompt: Prompt) -> KittiObject:
     return KittiObject(
         prompt.category,
@@ -135,6 +189,7 @@ def main() -> None:
         for part in SETS:
             chosen = [frame.name for frame in trained_on(fold, frames) if frame.part == part]
             (out / f"train_{fold}_{part}.txt").write_text("\n".join(chosen) + "\n")
+        write_config(options.kitti, out, fold)
         if fold != "all":
             (out / f"judge_{fold}.txt").write_text("\n".join(judged_on(fold, frames)) + "\n")
     for sequence, names in write_sequence_labels(options.kitti, out).items():

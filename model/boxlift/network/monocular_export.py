@@ -19,7 +19,7 @@ from boxlift.network.nanodet import NanoDetHead, NanoDetTrunk
 
 # KITTI's, where most of what a model may be trained on comes from; other cameras are resized to it.
 FOCAL_PX = 721.5
-_MIN_SCORE = 0.1
+_MIN_SCORE = 0.2
 # The property that holds the arguments of Lifter.
 _LIFTER = "lifter"
 _EXAMPLE_SIZE = (375, 1242)
