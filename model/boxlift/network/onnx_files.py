@@ -112,15 +112,20 @@ def store_as_int8(model: Any) -> None:
         scale = np.maximum(np.abs(values).max(others) / 127, 1e-12).astype(np.float32)
         shaped = scale.reshape([-1 if i == axis else 1 for i in range(values.ndim)])
         stored = onnx.numpy_helper.from_array(np.rint(values / shaped).astype(np.int8), weight.name + _SUFFIX)
-        scales = onnx.numpy_helper.from_array(scale, weight.name + ".scale")
-        node = onnx.helper.make_node("DequantizeLinear", [stored.name, scales.name], [weight.name], axis=axis)
-        _replace(model, weight, [stored, scales], node)
+        scales = onnx.numpy_helper.from_array(shaped, weight.name + ".scale")
+        # Not DequantizeLinear: ONNX Runtime keeps that and multiplies in every run, where it folds these two.
+        whole = onnx.helper.make_node(
+            "Cast", [stored.name], [weight.name + ".whole"], to=onnx.TensorProto.FLOAT
+        )
+        node = onnx.helper.make_node("Mul", [weight.name + ".whole", scales.name], [weight.name])
+        _replace(model, weight, [stored, scales], whole, node)
 
 
-def _replace(model: Any, weight: Any, stored: list[Any], node: Any) -> None:
+def _replace(model: Any, weight: Any, stored: list[Any], *nodes: Any) -> None:
     model.graph.initializer.remove(weight)
     model.graph.initializer.extend(stored)
-    model.graph.node.insert(0, node)
+    for node in reversed(nodes):
+        model.graph.node.insert(0, node)
 
 
 def write(model: Any, path: Path, metadata: Mapping[str, str | Mapping[str, Any] | Sequence[Any]]) -> None:

@@ -1,4 +1,4 @@
-"""RoIAlign in plain torch, for any number of boxes, that exports to ONNX (GridSample, opset 18 and up).
+"""RoIAlign in plain torch, for any number of boxes, that exports to ONNX.
 
 After He et al., "Mask R-CNN" (ICCV 2017), with half-pixel offsets (`aligned=True` elsewhere). One difference:
 a sample outside the map takes the value at its border, however far outside it lies; others have zeros there.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 
 def roi_align(features: Tensor, boxes_px: Tensor, stride: float, size: int = 7, samples: int = 2) -> Tensor:
@@ -18,20 +17,34 @@ def roi_align(features: Tensor, boxes_px: Tensor, stride: float, size: int = 7, 
     this stride covers the pixels [i * stride, (i + 1) * stride). N may be 0. Every output cell is the mean of
     `samples` x `samples` bilinear samples. All boxes share one sampling of one map: memory goes with N * C.
     """
-    height, width = features.shape[2], features.shape[3]
+    channels, height, width = features.shape[1], features.shape[2], features.shape[3]
     steps = (torch.arange(size * samples, dtype=boxes_px.dtype, device=boxes_px.device) + 0.5) / (
         size * samples
     )
     x1, y1, x2, y2 = boxes_px.unbind(1)
-    # grid_sample counts from -1 at one edge of the map to 1 at the other.
-    x = (x1[:, None] + (x2 - x1)[:, None] * steps) * (2 / (stride * width)) - 1
-    y = (y1[:, None] + (y2 - y1)[:, None] * steps) * (2 / (stride * height)) - 1
-    across = x[:, None, :].expand(-1, size * samples, -1)
-    down = y[:, :, None].expand(-1, -1, size * samples)
-    grid = torch.stack([across, down], dim=-1).flatten(0, 1)[None].to(features.dtype)
-    sampled = functional.grid_sample(
-        features, grid, mode="bilinear", padding_mode="border", align_corners=False
-    )
+    left, right, to_right = _neighbours(x1[:, None] + (x2 - x1)[:, None] * steps, stride, width)
+    upper, lower, to_lower = _neighbours(y1[:, None] + (y2 - y1)[:, None] * steps, stride, height)
+    # Cells as rows: what a sample needs of all channels then lies together (a GridSample jumps for each).
+    cells = features[0].flatten(1).transpose(0, 1)
+    sampled = [
+        cells[(rows[:, :, None] * width + columns[:, None, :]).flatten()].reshape(
+            -1, size * samples, size * samples, channels
+        )
+        for rows in (upper, lower)
+        for columns in (left, right)
+    ]
+    across, down = to_right[:, None, :, None], to_lower[:, :, None, None]
+    above = sampled[0] + (sampled[1] - sampled[0]) * across
+    below = sampled[2] + (sampled[3] - sampled[2]) * across
+    blended = above + (below - above) * down
     # The number of boxes is left to be found: a pooling layer would refuse to pool no boxes.
-    cells = sampled.reshape(features.shape[1], -1, size, samples, size, samples)
-    return cells.mean(dim=(3, 5)).transpose(0, 1)
+    pooled = blended.reshape(-1, size, samples, size, samples, channels).mean(dim=(2, 4))
+    return pooled.permute(0, 3, 1, 2)
+
+
+def _neighbours(position_px: Tensor, stride: float, cells: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Of positions the cells before and after, and how far they are from the one to the other (0 to 1)."""
+    place = (position_px / stride - 0.5).clamp(0, cells - 1)
+    before = place.floor()
+    after = (before + 1).clamp(max=cells - 1)
+    return before.long(), after.long(), place - before
