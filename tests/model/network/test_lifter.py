@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -138,7 +139,8 @@ def test_lifter_sees_and_hears() -> None:
     assert lifter.sees
     assert not Lifter(blind=2, seeing=0).sees
     # What makes one like it.
-    assert Lifter(**lifter.shape).state_dict().keys() == lifter.state_dict().keys()
+    shape: dict[str, Any] = lifter.shape
+    assert Lifter(**shape).state_dict().keys() == lifter.state_dict().keys()
 
 
 def test_features_are_normalised() -> None:
@@ -224,7 +226,8 @@ def _rows(count: int = 6) -> Rows:
 
 def test_every_weight_learns() -> None:
     rows, lifter = _rows(), Lifter(blind=1, seeing=1, dropout=0.0)
-    torch.stack(list(lifter_loss(lifter(rows.geometry, rows.rois), rows).values())).sum().backward()
+    terms = lifter_loss(lifter(rows.geometry, rows.rois), rows)
+    torch.autograd.backward(torch.stack(list(terms.values())).sum())
     for name, parameter in lifter.named_parameters():
         assert parameter.grad is not None, name
         assert torch.isfinite(parameter.grad).all(), name
