@@ -213,12 +213,21 @@ class LifterModelSettings(Settings):
     sizes: Literal["frozen", "learned"] = Field("frozen", description="Dimensions, as in [model] there.")
 
 
+class LifterDataSettings(DataSettings):
+    """What the head that ships is trained on: boxes of all its classes."""
+
+    categories: tuple[str, ...] = Field(
+        ("Car", "Truck", "Pedestrian", "Cyclist"), min_length=1, description="Classes; these, in this order."
+    )
+    targets: Literal["paper", "accurate", "label_2"] = Field(
+        "accurate", description="What supervises: pseudo labels of a preset, or, for comparison, drawn ones."
+    )
+
+
 class LifterSettings(Settings):
     """The training of the head that ships (task = "lifter"): pseudo labels, NanoDet's frozen trunk."""
 
-    data: DataSettings = DataSettings(
-        targets="accurate", categories=("Car", "Truck", "Pedestrian", "Cyclist")
-    )
+    data: LifterDataSettings = LifterDataSettings()
     rows: RowSettings = RowSettings()
     model: LifterModelSettings = LifterModelSettings()
     augmentation: AugmentationSettings = AugmentationSettings()
