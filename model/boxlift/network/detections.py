@@ -66,6 +66,9 @@ class RoadUsers(nn.Module):
         boxes = functional.pad(raw.boxes_px[0], (0, 0, 0, _CANDIDATES))
         score, kind = cells.max(-1)
         score, order = score.topk(_CANDIDATES)
+        # The best always stays for now: a graph cannot take the maximum of nothing.
+        sure = ((score > self.min_score) | (score >= score[0])).nonzero()[:, 0]
+        score, order = score[sure], order[sure]
         kind, boxes = kind[order], boxes[order]
         size = torch.stack([width_px, height_px, width_px, height_px]).to(boxes.dtype)
         boxes = torch.minimum(boxes.clamp(min=0), size)
@@ -75,12 +78,12 @@ class RoadUsers(nn.Module):
         iou = shared / (area[:, None] + area[None] - shared).clamp(min=1e-6)
         inside = shared / area[:, None].clamp(min=1e-6)
         same_group = group[:, None] == group[None]
-        better = torch.arange(_CANDIDATES, device=score.device)
-        better = better[:, None] > better[None]
+        rank = torch.cumsum(torch.ones_like(score), 0)
+        better = rank[:, None] > rank[None]
         rival = same_group & better & ((iou > _SAME_OBJECT_IOU) | (vehicle[:, None] & (inside > _INSIDE)))
-        kept = _suppress(rival, score > self.min_score)
+        kept = _suppress(rival)
         boxes, kind, kept = _join_riders(boxes, kind, score, kept)
-        rows = (kept & (kind != _CYCLE)).nonzero()[:, 0]
+        rows = (kept & (kind != _CYCLE) & (score > self.min_score)).nonzero()[:, 0]
         return Detections(boxes[rows], score[rows], kind[rows])
 
 
@@ -92,14 +95,14 @@ def _intersections(boxes: Tensor) -> tuple[Tensor, Tensor]:
     return (high - low).clamp(min=0).prod(-1), sides.prod(-1)
 
 
-def _suppress(rival: Tensor, alive: Tensor) -> Tensor:
-    """Greedy suppression: a row falls to a column that is kept itself. rival (N, N), alive (N,)."""
+def _suppress(rival: Tensor) -> Tensor:
+    """Greedy suppression (N,): a row of `rival` (N, N) falls to a column that is kept itself."""
     # Rows that nobody kept suppresses are kept; repeating that follows chains down from the best.
-    against = (rival & alive[None]).to(torch.float32)
-    kept = alive
+    against = rival.to(torch.float32)
+    kept = torch.ones_like(against[:, 0])
     for _ in range(_ROUNDS):
-        kept = alive & ((against @ kept.to(torch.float32)[:, None])[:, 0] < 0.5)
-    return kept
+        kept = ((against @ kept[:, None])[:, 0] < 0.5).to(torch.float32)
+    return kept > 0.5
 
 
 def _join_riders(boxes: Tensor, kind: Tensor, score: Tensor, kept: Tensor) -> tuple[Tensor, Tensor, Tensor]:

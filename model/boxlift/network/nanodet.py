@@ -134,7 +134,9 @@ def _boxes(maps: Tensor, level: Tensor, stride: int) -> Tensor:
     """(B, N, 4 x bins) logits -> (B, N, 4): the sides left, top, right, bottom around each cell's centre."""
     height, width = level.shape[2], level.shape[3]
     bins = torch.arange(SIDE_BINS, dtype=maps.dtype, device=maps.device)
-    sides = (maps.reshape(*maps.shape[:2], 4, SIDE_BINS).softmax(-1) @ bins) * stride
+    # As one product of matrices: one for each cell would take longer than many a layer.
+    expected = maps.reshape(-1, SIDE_BINS).softmax(-1) @ bins[:, None]
+    sides = expected.reshape(*maps.shape[:2], 4) * stride
     x = (torch.arange(width, dtype=maps.dtype, device=maps.device) + 0.5) * stride
     y = (torch.arange(height, dtype=maps.dtype, device=maps.device) + 0.5) * stride
     centers = torch.stack([x.expand(height, width), y[:, None].expand(height, width)], -1).flatten(0, 1)
