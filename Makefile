@@ -46,6 +46,10 @@ bench: $(READY)
 	$(BIN)/python benchmarks/evaluator.py
 	$(BIN)/python benchmarks/label.py
 	$(BIN)/python benchmarks/label_http.py
+	$(BIN)/python benchmarks/detector.py
+	$(BIN)/python benchmarks/detect_http.py
+	$(BIN)/python benchmarks/backbones.py
+	$(BIN)/python benchmarks/monocular_cameras.py
 
 clean:
 	rm -rf $(VENV) demo dist
