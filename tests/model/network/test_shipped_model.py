@@ -20,6 +20,7 @@ from boxlift.camera import Floats
 from boxlift.datasets import load_objects, open_source
 from boxlift.datasets.generated import generate
 from boxlift.detector import DEFAULT_FILE
+from boxlift.formats.calibration import read_calibration
 from boxlift.formats.image import decode_image
 from boxlift.monocular import DEFAULT_PATH, MONOCULAR, Monocular
 from boxlift.network.detections import CLASSES
@@ -72,7 +73,7 @@ def _real(root: Path) -> list[Scene]:
         labels = [label for label in load_objects("label_2", source, name) if label.category in CLASSES]
         if labels and len(scenes) < REAL_IMAGES:
             image = decode_image(source.root / "image_2" / f"{name}.png")
-            P = source.load(name, ()).calibration.image_P_cam
+            P = read_calibration(source.root / "calib" / f"{name}.txt").calibration.image_P_cam
             scenes.append(Scene(name, image, P, tuple(Prompt(each.category, each.box_px) for each in labels)))
     return scenes
 
@@ -123,7 +124,7 @@ def test_file_says_what_torch_says(scenes: Sequence[Scene], graph: MonocularGrap
         np.testing.assert_array_equal(found["boxes_px"], scene.inputs()["prompt_boxes_px"])
         assert (found["detection_scores"] == 1).all()
         boxes += len(scene.prompts)
-    assert boxes >= 5 * len(scenes)
+    assert boxes >= 2 * len(scenes)
 
 
 def test_file_finds_what_torch_finds(scenes: Sequence[Scene], graph: MonocularGraph) -> None:
