@@ -178,9 +178,8 @@ def test_it_is_small_and_has_its_papers() -> None:
     assert sum(path.stat().st_size for path in (*PATHS, DEFAULT_FILE)) < 20e6
     assert SMALL_PATH.stat().st_size < 0.7 * DEFAULT_PATH.stat().st_size
     beside = {path.name.lower() for path in DEFAULT_PATH.parent.iterdir()}
-    assert {"readme.md"} <= beside
-    assert any(name.startswith("licen") for name in beside)
-    card = (DEFAULT_PATH.parent / "README.md").read_text(encoding="utf-8")
+    assert any(name.startswith("license") for name in beside)
+    card = (DEFAULT_PATH.parent / "MODEL_CARD.md").read_text(encoding="utf-8")
     for word in ("KITTI", "NanoDet", "Apache", "CC BY-NC-SA", DEFAULT_PATH.name, SMALL_PATH.name):
         assert word in card, word
 
