@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -66,9 +67,14 @@ def _prompts(frame: TrainingFrame) -> tuple[Prompt, ...]:
     )
 
 
+@cache
+def _opened(path: Path) -> Monocular:
+    return Monocular.open(path)
+
+
 def _detect(path: Path, frame: TrainingFrame, prompts: tuple[Prompt, ...] | None) -> FrameLabels:
     calibration = Calibration(frame.image_P_cam, np.eye(4))
-    return Monocular.open(path).detect(frame.name, frame.read_image(), calibration, prompts)
+    return _opened(path).detect(frame.name, frame.read_image(), calibration, prompts)
 
 
 def test_loss_falls(folder: Path) -> None:
@@ -118,7 +124,7 @@ def test_exported_head_is_the_trained_one(folder: Path) -> None:
 
 @pytest.mark.parametrize("name", ["head.onnx", "head_small.onnx"])
 def test_exported_pair_is_opened_and_run(folder: Path, frames: list[TrainingFrame], name: str) -> None:
-    model = Monocular.open(folder / name)
+    model = _opened(folder / name)
     assert model.classes == CLASSES
     assert model.metadata["training_data"] == "three generated frames"
     assert model.metadata["licence"] == "none"
