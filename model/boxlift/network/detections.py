@@ -43,7 +43,7 @@ class Detections(NamedTuple):
 
 
 class RoadUsers(nn.Module):
-    """Raw detections of COCO_INDICES (in their order) -> Detections with a score of at least `min_score`."""
+    """Raw detections of COCO_INDICES (in their order) -> Detections with a score above `min_score`."""
 
     def __init__(self, min_score: float = 0.1) -> None:
         super().__init__()
@@ -117,6 +117,8 @@ def _join_riders(boxes: Tensor, kind: Tensor, score: Tensor, kept: Tensor) -> tu
     height = (bottom - top).clamp(min=1e-6)
     rides = (overlap_x / narrower > _RIDER_OVERLAP) & (feet > top) & (feet < bottom + 0.15 * height)
     rides = rides & (boxes[:, None, 1] < top + 0.1 * height) & person[:, None] & cycle[None]
+    # One rider for a cycle, the surest; whoever stands behind stays a pedestrian.
+    rides = rides & (torch.cumsum(rides.to(torch.float32), 0) < 1.5)
     strength, partner = torch.where(rides, score[None], 0.0).max(1)
     rider = strength > 0
     wheels = boxes[partner]

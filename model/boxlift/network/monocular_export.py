@@ -26,7 +26,12 @@ _EXAMPLE_SIZE = (375, 1242)
 
 
 def monocular_graph(lifter: Lifter) -> MonocularGraph:
-    """The whole network with the weights of the detector that comes with boxlift."""
+    """The whole network with the weights of the detector that comes with boxlift.
+
+    The head's weights are rounded to 16-bit floats, as they will be stored: three digits are enough for them.
+    """
+    for weight in lifter.parameters():
+        weight.data = weight.data.half().float()
     weights = onnx_files.read_weights(DEFAULT_FILE)
     trunk, head = NanoDetTrunk(), NanoDetHead(_class_count(weights))
     onnx_files.load_weights(trunk, weights, "trunk.trunk.")

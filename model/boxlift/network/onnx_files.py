@@ -153,8 +153,10 @@ def write(model: Any, path: Path, metadata: Mapping[str, str | Mapping[str, Any]
         # Where in our code a node came from is of no use to a user, and names paths of this machine.
         del node.metadata_props[:]
         node.doc_string = ""
-    for value in (*model.graph.value_info, *model.graph.initializer, *model.graph.input, *model.graph.output):
+    for value in (*model.graph.initializer, *model.graph.input, *model.graph.output):
         del value.metadata_props[:]
+    # Shapes in between: ONNX Runtime finds them by itself.
+    del model.graph.value_info[:]
     del model.graph.metadata_props[:]
     model.producer_name, model.producer_version, model.doc_string = "boxlift", __version__, ""
     onnx.checker.check_model(model, full_check=True)
