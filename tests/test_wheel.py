@@ -34,6 +34,9 @@ def test_holds_the_packages_and_nothing_else(wheel: Path) -> None:
     weights = "boxlift/detector/weights"
     for file in ("nanodet_g.onnx", "README.md", "LICENSE-nanodet.txt", "LICENSE-human-models.txt"):
         assert f"{weights}/{file}" in names
+    weights = "boxlift/monocular/weights"
+    for file in ("monocular.onnx", "monocular_small.onnx", "MODEL_CARD.md", "LICENSE-monocular.txt"):
+        assert f"{weights}/{file}" in names
 
 
 def test_runs_the_demo_from_elsewhere(wheel: Path, tmp_path: Path) -> None:

@@ -34,10 +34,6 @@ SMALL_PATH = DEFAULT_PATH.with_name("monocular_small.onnx")
 PATHS = [DEFAULT_PATH, SMALL_PATH]
 REAL_IMAGES = 20
 
-pytestmark = pytest.mark.skipif(
-    not (DEFAULT_PATH.exists() and SMALL_PATH.exists()), reason="monocular.onnx has not been added yet"
-)
-
 
 class Scene(NamedTuple):
     """An image, its camera, and the drawn 2D boxes of the model's classes."""
