@@ -96,6 +96,6 @@ def test_settings_are_frozen() -> None:
 
 def test_every_setting_is_described() -> None:
     sections = [value for _, value in PAPER if isinstance(value, BaseModel)]
-    assert len(sections) == 6
+    assert len(sections) == 7
     for section in sections:
         assert all(field.description for field in type(section).model_fields.values()), section

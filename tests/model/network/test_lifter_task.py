@@ -115,11 +115,14 @@ def test_features_are_normalised_by_what_was_seen(folder: Path) -> None:
 
 
 def test_exported_head_is_the_trained_one(folder: Path) -> None:
+    """Its parameters rounded to 16-bit floats, what it normalises by as it was."""
     lifter = read_lifter(folder / "head.onnx")
     trained = _trained(folder)
+    rounded = {name for name, _ in lifter.named_parameters()}
     assert lifter.state_dict().keys() == trained.keys()
     for name, values in lifter.state_dict().items():
-        assert torch.equal(values, trained[name]), name
+        expected = trained[name].half().float() if name in rounded else trained[name]
+        assert torch.equal(values, expected), name
 
 
 @pytest.mark.parametrize("name", ["head.onnx", "head_small.onnx"])
