@@ -21,7 +21,7 @@ demo: $(READY)
 	$(BIN)/boxlift demo --out demo
 
 test: check
-	$(BIN)/pytest
+	$(BIN)/pytest -n 2 --dist loadfile
 
 check: $(READY)
 	$(BIN)/ruff format --check .
