@@ -7,7 +7,6 @@ projection is scaled with the image, so that nothing geometric changes.
 
 from __future__ import annotations
 
-import importlib
 import math
 from dataclasses import dataclass
 
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.camera import Calibration, Floats
-from boxlift.errors import MissingExtraError
+from boxlift.formats.image import resized
 
 # A focal length this near is taken as it is: resampling would cost time and sharpness for nothing.
 _NEAR = 0.05
@@ -70,7 +69,7 @@ def view_of(image: NDArray[np.uint8], calibration: Calibration, focal_px: float)
     # Pixel centres are whole numbers: u' + 1/2 = scale (u + 1/2).
     image_from_image = np.array([[scale_x, 0, (scale_x - 1) / 2], [0, scale_y, (scale_y - 1) / 2], [0, 0, 1]])
     return View(
-        _resized(image, (new_width, new_height)),
+        resized(image, (new_width, new_height)),
         image_from_image @ calibration.image_P_cam,
         (scale_x, scale_y),
     )
@@ -78,13 +77,3 @@ def view_of(image: NDArray[np.uint8], calibration: Calibration, focal_px: float)
 
 def _is_near(wanted: float, given: float) -> bool:
     return abs(wanted - given) <= _NEAR * given
-
-
-def _resized(image: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.uint8]:
-    try:
-        pillow = importlib.import_module("PIL.Image")
-    except ModuleNotFoundError:
-        raise MissingExtraError("pillow", "detect") from None
-    # Pillow's filters average over all pixels that a new one covers; the gap lets it begin by whole blocks.
-    resized = pillow.fromarray(image).resize(size_px, pillow.Resampling.BILINEAR, reducing_gap=3.0)
-    return np.asarray(resized, dtype=np.uint8)
