@@ -25,8 +25,8 @@ class Engine:
     """
 
     def __init__(self, settings: ServiceSettings) -> None:
-        self._threads = settings.threads_per_worker
-        self._executor = ThreadPoolExecutor(settings.worker_threads, thread_name_prefix="boxlift-worker")
+        self._threads = settings.label_threads
+        self._executor = ThreadPoolExecutor(settings.label_workers, thread_name_prefix="boxlift-worker")
         self._warm_up: Future[str | None] | None = None
 
     def start(self) -> None:

@@ -17,7 +17,7 @@ def run(settings: ServiceSettings) -> None:
     """
     # OpenMP reads it once, when Open3D and torch load. Threads that spin while they wait made
     # the ground plane 2 to 5 times slower on a machine that was busy otherwise.
-    os.environ["OMP_NUM_THREADS"] = str(settings.threads_per_worker)
+    os.environ["OMP_NUM_THREADS"] = str(settings.label_threads)
     try:
         import uvicorn
 

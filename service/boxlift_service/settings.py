@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from boxlift.errors import OptionsError
 
@@ -33,10 +33,14 @@ class ServiceSettings(BaseModel):
     max_points: int = Field(2_000_000, ge=1, description="Most LiDAR points of a frame.")
     max_image_pixels: int = Field(64_000_000, ge=1, description="Most pixels of an image or a mask image.")
     max_prompts: int = Field(1000, ge=1, le=65_535, description="Most prompts of a frame.")
-    worker_threads: int = Field(1, ge=1, le=64, description="Frames that are labelled at the same time.")
-    threads_per_worker: int = Field(
-        1, ge=1, le=256, description="CPU threads of torch and Open3D in a worker."
+    label_workers: int = Field(
+        1, ge=1, le=64, description="Processes that label: frames labelled at the same time."
     )
+    label_threads: int = Field(
+        1, ge=1, le=256, description="CPU threads of torch and Open3D in each of them."
+    )
+    detect_workers: int = Field(1, ge=1, le=64, description="Processes that find objects in images.")
+    detect_threads: int = Field(2, ge=1, le=256, description="CPU threads of ONNX Runtime in each of them.")
     model: Path | None = Field(
         None, description="ONNX file of the monocular model of POST /detect; the one that ships where unset."
     )
@@ -45,7 +49,6 @@ class ServiceSettings(BaseModel):
         description="ONNX file of the 2D detector, used where no prompts come along; where it is unset, "
         "POST /label takes the one that ships, and POST /detect what the monocular model finds itself.",
     )
-    detect_threads: int = Field(2, ge=1, le=256, description="CPU threads of ONNX Runtime.")
     max_images: int = Field(16, ge=1, le=1024, description="Most images of a POST /detect.")
     min_score: float = Field(
         0.0, ge=0, le=1, description="Least score of what POST /detect finds, where a request names none."
@@ -53,6 +56,77 @@ class ServiceSettings(BaseModel):
     priors: Path | None = Field(
         None, description="TOML file with sizes per class, laid over the built-in ones; read at the start."
     )
+
+    # Work
+    permits_per_worker: float = Field(
+        16.0,
+        gt=0,
+        le=1e6,
+        description="Work that is taken on at a time, for each worker; 429 beyond it. A permit is a million "
+        "objects x points of POST /label, or an image to find objects in.",
+    )
+    frame_limit_s: float = Field(
+        60.0, gt=0, le=3600, description="Longest computing of a request; its worker is replaced beyond it."
+    )
+    silence_s: float = Field(
+        4.0, ge=1, le=600, description="A worker that is not heard from for this long is replaced."
+    )
+    max_held_bytes: int = Field(
+        2**30, ge=2**20, description="Most bytes of all bodies together that are held; 429 beyond it."
+    )
+    receive_idle_s: float = Field(
+        15.0, gt=0, le=3600, description="A body that brings nothing for this long is refused with 408."
+    )
+    receive_limit_s: float = Field(
+        120.0, gt=0, le=86_400, description="Longest time for headers, and for a body to come in."
+    )
+    max_connections: int = Field(1000, ge=1, description="Most connections that are open at a time.")
+    drain_s: float = Field(
+        0.0, ge=0, le=3600, description="After SIGTERM, serve on for this long while /readyz says 503."
+    )
+
+    # Who may ask
+    api_keys: Path | None = Field(
+        None,
+        description="File of hashed API keys, read again when it changes; no keys are asked for where unset.",
+    )
+    allow_anonymous: bool = Field(
+        False,
+        description="Listen beyond loopback without API keys, e.g. behind a proxy that asks for its own.",
+    )
+    requests_per_minute: int = Field(
+        0, ge=0, description="Most requests of a key in a minute, where its line names none; 0: no limit."
+    )
+    open_metrics: bool = Field(False, description="Serve /metrics without a key.")
+    allowed_origins: tuple[str, ...] = Field(
+        (), description="Origins whose pages may call (CORS), separated by commas; none where empty."
+    )
+
+    # What is told
+    log_format: Literal["text", "json"] = Field(
+        "text", description="A log line as text, or as a JSON object."
+    )
+    tracing: bool = Field(
+        False, description="Send OpenTelemetry traces (extra otel; OTEL_* variables say where to)."
+    )
+
+    # What is fetched
+    fetch_from: tuple[str, ...] = Field(
+        (),
+        description="URL prefixes that POST /pointCloud/recognition may fetch from, separated by commas; "
+        "the route refuses every URL where empty.",
+    )
+    fetch_private: bool = Field(
+        False, description="Let those prefixes name private addresses, e.g. a MinIO beside the service."
+    )
+    fetch_limit_s: float = Field(20.0, gt=0, le=600, description="Longest time for a fetch.")
+
+    @field_validator("allowed_origins", "fetch_from", mode="before")
+    @classmethod
+    def _separated(cls, value: object) -> object:
+        if isinstance(value, str):
+            return tuple(item.strip() for item in value.split(",") if item.strip())
+        return value
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> ServiceSettings:

@@ -27,7 +27,7 @@ def test_work_runs_in_the_worker_with_the_threads_that_were_set() -> None:
     import torch
 
     async def scenario() -> tuple[str, int]:
-        async with started(ServiceSettings(threads_per_worker=2)) as engine:
+        async with started(ServiceSettings(label_threads=2)) as engine:
             return await engine.run(lambda: (threading.current_thread().name, torch.get_num_threads()))
 
     thread, torch_threads = asyncio.run(scenario())

@@ -16,8 +16,8 @@ def serve(
         int | None,
         typer.Option(min=0, max=65_535, help="Port to listen on; 0: a free one.  [default: 8000]"),
     ] = None,
-    worker_threads: Annotated[
-        int | None, typer.Option(min=1, max=64, help="Frames labelled at the same time.  [default: 1]")
+    label_workers: Annotated[
+        int | None, typer.Option(min=1, max=64, help="Processes that label.  [default: 1]")
     ] = None,
     model: Annotated[
         Path | None,
@@ -37,7 +37,7 @@ def serve(
     given = {
         "host": host,
         "port": port,
-        "worker_threads": worker_threads,
+        "label_workers": label_workers,
         "model": model,
         "detector": detector,
     }
