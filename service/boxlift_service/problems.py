@@ -23,15 +23,23 @@ class Kind(Enum):
     UNREADABLE_BODY = ("unreadable-body", 400, "The request body cannot be read as a form")
     NOT_FOUND = ("not-found", 404, "There is no such resource")
     METHOD_NOT_ALLOWED = ("method-not-allowed", 405, "The resource does not support this method")
+    UNAUTHORIZED = ("unauthorized", 401, "The request needs a valid API key")
+    FORBIDDEN_ORIGIN = ("forbidden-origin", 403, "Pages of this origin may not call")
     NOT_ACCEPTABLE = ("not-acceptable", 406, "No answer has a media type that the client accepts")
+    TIMEOUT = ("timeout", 408, "The request did not come in in time")
     TOO_LARGE = ("too-large", 413, "The request is too large")
     UNSUPPORTED_MEDIA_TYPE = ("unsupported-media-type", 415, "The request body has the wrong media type")
     INVALID_FIELD = ("invalid-field", 422, "A field of the form is missing, unknown or invalid")
+    FETCH_REFUSED = ("fetch-refused", 422, "The service does not fetch from this URL")
+    FETCH_FAILED = ("fetch-failed", 422, "The URL could not be fetched")
+    TOO_BUSY = ("too-busy", 429, "The service has as much work as it takes on")
+    RATE_LIMITED = ("rate-limited", 429, "This API key has used up its requests")
     INTERNAL_ERROR = ("internal-error", 500, "The service failed")
     WORKER_DIED = ("worker-died", 500, "The process that computed the answer ended")
     MODEL_FAILED = ("model-failed", 500, "The model failed on this input")
     NO_DETECTOR = ("no-detector", 503, "No detector is installed")
     NOT_READY = ("not-ready", 503, "The service is not ready")
+    DEADLINE_EXCEEDED = ("deadline-exceeded", 504, "The time that the client gave has passed")
 
     def __init__(self, slug: str, status: int, title: str) -> None:
         self.uri = f"urn:boxlift:problem:{slug}"
