@@ -2,28 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+import multiprocessing
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from typing import Any
 
 from fastapi import FastAPI
 from starlette.exceptions import HTTPException
+from starlette.routing import Route
 
 import boxlift
 from boxlift.errors import InputError
 from boxlift.formats.size_priors import read_size_priors
-from boxlift.settings import PRESETS
+from boxlift.settings import PRESETS, LabellerSettings
 from boxlift_service.answer_examples import with_answer_examples
+from boxlift_service.answers import API_VERSION
+from boxlift_service.api_keys import ApiKeys
+from boxlift_service.auth import AuthMiddleware, check_exposure
 from boxlift_service.body_limit import BodyLimitMiddleware
 from boxlift_service.detection import Detection
-from boxlift_service.engine import Engine
+from boxlift_service.label_worker import LabelWorker, open_label_worker
+from boxlift_service.labelling import Labelling
+from boxlift_service.lifecycle import Lifecycle
+from boxlift_service.metrics import Metrics
+from boxlift_service.observation import ObservationMiddleware, start_tracing
+from boxlift_service.origins import add_origin_layers
+from boxlift_service.permits import Permits
 from boxlift_service.problems import ProblemError, on_http_exception, on_input_error, on_problem
-from boxlift_service.request_id import RequestIdMiddleware
 from boxlift_service.routes.detect import detect_routes
 from boxlift_service.routes.health import health_routes
 from boxlift_service.routes.label import label_routes
+from boxlift_service.routes.metrics import metrics_routes
 from boxlift_service.routes.models import models_routes
 from boxlift_service.settings import ServiceSettings
+from boxlift_service.shared_parts import HeldBytes
+from boxlift_service.worker_pool import WorkerPool
+from boxlift_service.worker_process import WorkerProcess
 
 
 class _Application(FastAPI):
@@ -31,26 +45,37 @@ class _Application(FastAPI):
         return with_answer_examples(super().openapi())
 
 
-def create_app(settings: ServiceSettings) -> FastAPI:
-    """The service as an ASGI application; its warm-up begins when the server starts it.
+def create_app(
+    settings: ServiceSettings, metrics: Metrics | None = None, lifecycle: Lifecycle | None = None
+) -> FastAPI:
+    """The service as an ASGI application; its workers begin to open when the server starts it.
 
-    Raises OptionsError where the priors file cannot be used, ModelFileError where a model file that the
-    settings name cannot be, MissingExtraError where it would need ONNX Runtime.
+    Raises OptionsError where the priors or the keys cannot be used, or others could reach it without keys;
+    ModelFileError where a model file that the settings name cannot be; MissingExtraError where it would need
+    ONNX Runtime.
     """
+    check_exposure(settings)
+    keys = ApiKeys(settings.api_keys) if settings.api_keys else None
+    metrics, lifecycle = metrics or Metrics(), lifecycle or Lifecycle()
+    tracing = start_tracing() if settings.tracing else None
     sizes = read_size_priors(settings.priors) if settings.priors else {}
     presets = {name: preset.with_sizes(sizes) for name, preset in PRESETS.items()}
-    engine = Engine(settings)
-    detection = Detection(settings)
+    held = HeldBytes(settings.max_held_bytes)
+    detection = Detection(settings, presets, metrics)
     detection.check_given_models()
+    labellers = _label_pool(settings, presets, metrics)
+    labelling = Labelling(labellers, detection)
+    metrics.watch("boxlift_held_bytes", "Bytes of request bodies that are held.", lambda: held.taken)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        engine.start()
-        detection.start()
+        labellers.start()
+        detection.pool.start()
         yield
-        # Work in the engine may wait for detection.
-        engine.stop()
-        detection.stop()
+        await labellers.stop()
+        await detection.pool.stop()
+        if tracing is not None:
+            tracing.shutdown()
 
     app = _Application(
         title="boxlift",
@@ -64,16 +89,47 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         docs_url=None,
         redoc_url=None,
     )
-    app.include_router(label_routes(engine, detection, settings, presets))
-    app.include_router(detect_routes(detection, settings))
-    app.include_router(health_routes(engine, detection))
-    app.include_router(models_routes(detection, presets))
+    app.state.reload = detection.reload  # for SIGHUP
+    for routes in (
+        label_routes(labelling, settings, held, metrics),
+        detect_routes(detection, settings, held, metrics),
+        health_routes((labellers, detection.pool), lifecycle),
+        models_routes(detection, presets),
+        metrics_routes(metrics),
+    ):
+        app.include_router(routes)
+        app.include_router(routes, prefix=f"/v{API_VERSION}", include_in_schema=False)
     app.add_exception_handler(ProblemError, on_problem)
     app.add_exception_handler(InputError, on_input_error)
     app.add_exception_handler(HTTPException, on_http_exception)
+
+    def on_refused(reason: str) -> None:
+        metrics.count_refused("http", reason)
+
     # What is added last lies outermost.
-    app.add_middleware(
-        BodyLimitMiddleware, max_body_bytes=settings.max_body_bytes, linger_s=settings.linger_s
-    )
-    app.add_middleware(RequestIdMiddleware)
+    if keys is not None:
+        app.add_middleware(AuthMiddleware, keys=keys, settings=settings, on_refused=on_refused)
+    add_origin_layers(app, settings, on_refused)
+    app.add_middleware(BodyLimitMiddleware, settings=settings)
+    paths = [route.path for route in app.routes if isinstance(route, Route)]
+    app.add_middleware(ObservationMiddleware, metrics=metrics, paths=paths, tracing=tracing)
     return app
+
+
+def _label_pool(
+    settings: ServiceSettings, presets: Mapping[str, LabellerSettings], metrics: Metrics
+) -> WorkerPool:
+    """The workers that label. A permit is a million objects x points."""
+    multiprocessing.get_context("forkserver").set_forkserver_preload(["boxlift_service.label_libraries"])
+
+    def new_process() -> WorkerProcess[LabelWorker]:
+        return WorkerProcess(
+            open_label_worker,
+            (settings, presets),
+            settings.frame_limit_s,
+            method="forkserver",
+            name="boxlift-label",
+        )
+
+    permits = Permits(settings.permits_per_worker * settings.label_workers)
+    return WorkerPool("label", new_process, settings.label_workers, permits, metrics, settings.silence_s)

@@ -24,8 +24,9 @@ from boxlift.formats.point_cloud import decode_points
 from boxlift.formats.prompts import parse_prompts
 from boxlift.frame import Frame, Prompt
 from boxlift.settings import DEFAULT_PRESET, LabellerSettings
-from boxlift_service.form import Field, Part
+from boxlift_service.form import Field
 from boxlift_service.settings import ServiceSettings
+from boxlift_service.shared_parts import Part
 
 DEFAULT_NAME = "frame"
 _LONGEST_NAME = 200
@@ -62,7 +63,7 @@ def decode_label_request(
 
     Raises InputError.
     """
-    settings = _labeller_settings(parts.get("options"), presets)
+    settings = labeller_settings(parts.get("options"), presets)
     prompts = _prompts(parts, limits)
     parsed = parse_calibration(parts["calib"].data)
     size_px = _image_size(parts, parsed.image_size_px, limits)
@@ -103,8 +104,11 @@ def _prompts(parts: Mapping[str, Part], limits: ServiceSettings) -> tuple[Prompt
     return ()
 
 
-def _labeller_settings(part: Part | None, presets: Mapping[str, LabellerSettings]) -> LabellerSettings:
-    """{"preset": name, group: {setting: value}} -> settings; what is left out is as the preset has it."""
+def labeller_settings(part: Part | None, presets: Mapping[str, LabellerSettings]) -> LabellerSettings:
+    """{"preset": name, group: {setting: value}} -> settings; what is left out is as the preset has it.
+
+    Raises OptionsError.
+    """
     options = parse_json(part.data, "options", OptionsError) if part else {}
     if not isinstance(options, dict):
         raise OptionsError(

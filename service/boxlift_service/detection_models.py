@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -15,6 +15,7 @@ from boxlift.errors import BoxliftError, InputError, MissingExtraError, ModelFil
 from boxlift.formats.image import decode_image
 from boxlift.frame import Prompt
 from boxlift.monocular import Monocular
+from boxlift.settings import LabellerSettings
 from boxlift_service.settings import ENVIRONMENT_PREFIX, ServiceSettings
 
 T = TypeVar("T")
@@ -45,6 +46,7 @@ class Models:
     detector: Detector | BoxliftError
     monocular: Monocular | BoxliftError
     settings: ServiceSettings
+    presets: Mapping[str, LabellerSettings]
 
     def require_detector(self) -> Detector:
         """The 2D detector. Raises NoModelError."""
@@ -63,13 +65,14 @@ class Models:
         return self.monocular
 
 
-def open_models(settings: ServiceSettings) -> Models:
+def open_models(settings: ServiceSettings, presets: Mapping[str, LabellerSettings]) -> Models:
     """Load what the settings name, or what ships, and run each once; one that fails is its error."""
     threads = settings.detect_threads
     return Models(
         _opened("detector", settings.detector, lambda: _ready_detector(settings.detector, threads)),
         _opened("model", settings.model, lambda: _ready_monocular(settings.model, threads)),
         settings,
+        presets,
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import os
 from collections import Counter
 from dataclasses import dataclass
 
@@ -16,57 +18,74 @@ from boxlift.frame import FrameLabels, Prompt
 from boxlift.monocular import Monocular
 from boxlift.stage_times import StageTimes
 from boxlift_service.answers import UsedModel, detect_answer_of
+from boxlift_service.decoding import labeller_settings
 from boxlift_service.detect_decoding import ImageRequest, decode_detect_request
 from boxlift_service.detection_models import Models
-from boxlift_service.form import Part
 from boxlift_service.settings import ServiceSettings
+from boxlift_service.shared_parts import PartsIndex
 
 
 @dataclass(frozen=True)
 class FoundPrompts:
-    """What a detector found: prompts, (H, W) prompt index + 1 where it has masks, and its digest."""
+    """What a detector found, and its digest; masks: where they lie in the shared memory, and their shape."""
 
     prompts: tuple[Prompt, ...]
-    instance_ids: NDArray[np.uint16] | None
     model_digest: str
+    masks: tuple[int, tuple[int, ...]] | None
+
+    def read_instance_ids(self, file: int) -> NDArray[np.uint16] | None:
+        """(H, W) prompt index + 1; None where the detector has no masks."""
+        if self.masks is None:
+            return None
+        start, shape = self.masks
+        data = os.pread(file, 2 * math.prod(shape), start)
+        return np.frombuffer(data, np.uint16).reshape(shape)
 
 
 @dataclass(frozen=True)
 class FindPromptsTask:
-    """POST /label without prompts: an encoded image, and the least score of what is to be found in it."""
+    """POST /label without prompts: what is found in the image among the parts, as its options have it."""
 
-    image: bytes
-    min_score: float
+    parts: PartsIndex
 
-    def __call__(self, models: Models) -> FoundPrompts:
-        """Raises ImageError, NoModelError, ModelFileError."""
+    def __call__(self, models: Models, file: int) -> FoundPrompts:
+        """Raises ImageError, OptionsError, NoModelError, ModelFileError. Writes masks behind the parts."""
         detector, limits = models.require_detector(), models.settings
-        image = decode_image(self.image, max_pixels=limits.max_image_pixels)
-        found = detector.detect(image, self.min_score)
+        parts = {name: parts[0] for name, parts in self.parts.read(file).items()}
+        settings = labeller_settings(parts.get("options"), models.presets)
+        image = decode_image(parts["image"].data, max_pixels=limits.max_image_pixels)
+        found = detector.detect(image, settings.detection.min_score)
+        masks = None
+        if found.instance_ids is not None:
+            ids = np.ascontiguousarray(found.instance_ids, np.uint16)
+            masks = os.fstat(file).st_size, ids.shape
+            os.pwrite(file, ids.data, masks[0])
         # The best come first.
-        return FoundPrompts(found.prompts[: limits.max_prompts], found.instance_ids, detector.digest)
+        return FoundPrompts(found.prompts[: limits.max_prompts], detector.digest, masks)
 
 
 @dataclass(frozen=True)
 class DetectedImages:
-    """The body of an answer, and the seconds per stage that it took, summed over the images."""
+    """The body of an answer, how many objects had which result, and the seconds per stage of all images."""
 
     content: bytes
+    results: Counter[str]
     seconds: dict[str, float]
 
 
 @dataclass(frozen=True)
 class DetectTask:
-    """POST /detect: the parts of the form, as they came."""
+    """POST /detect: find the objects of the images among the parts."""
 
-    parts: dict[str, tuple[Part, ...]]
+    parts: PartsIndex
     as_text: bool
 
-    def __call__(self, models: Models) -> DetectedImages:
+    def __call__(self, models: Models, file: int) -> DetectedImages:
         """Raises InputError that names the field at fault, NoModelError, ModelFileError."""
         monocular = models.require_monocular()
-        request = decode_detect_request(self.parts, models.settings)
-        detector = models.detector_of_images() if "prompts" not in self.parts else None
+        parts = self.parts.read(file)
+        request = decode_detect_request(parts, models.settings)
+        detector = models.detector_of_images() if "prompts" not in parts else None
         seconds: Counter[str] = Counter()
         found = []
         for image in request.images:
@@ -81,7 +100,8 @@ class DetectTask:
                 used = None if detector is None else UsedModel(name=detector.name, digest=detector.digest)
                 model = UsedModel(name=monocular.name, digest=monocular.digest)
                 content = detect_answer_of(found, model, used).model_dump_json(by_alias=True)
-        return DetectedImages(content.encode(), {**seconds, **times.seconds})
+        results = Counter(label.result.name for labels, _ in found for label in labels.objects)
+        return DetectedImages(content.encode(), results, {**seconds, **times.seconds})
 
 
 def _detect(

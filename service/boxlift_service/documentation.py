@@ -6,8 +6,8 @@ from typing import Any
 
 from boxlift.settings import LabellerSettings
 from boxlift_service import problems, timing
+from boxlift_service.observation import REQUEST_ID_HEADER
 from boxlift_service.problems import Kind, ProblemDetails
-from boxlift_service.request_id import HEADER as REQUEST_ID_HEADER
 
 _CALIB_JSON_EXAMPLE = """{"P2": [[721.5, 0, 609.6, 44.9], [0, 721.5, 172.9, 0.2], [0, 0, 1, 0.003]],
  "cam_T_velo": [[0, -1, 0, 0], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1]],
@@ -117,7 +117,17 @@ def label_request_body() -> dict[str, Any]:
     return {
         "required": True,
         "description": "Every field once, as a file or as plain text.",
-        "content": {"multipart/form-data": {"schema": schema, "encoding": encoding}},
+        "content": {
+            "multipart/form-data": {"schema": schema, "encoding": encoding},
+            "application/msgpack": {
+                "schema": {
+                    "description": "A map with the same fields, each a str or a bin; points_filename is the "
+                    "file name of points.",
+                    "type": "string",
+                    "format": "binary",
+                }
+            },
+        },
     }
 
 
@@ -216,16 +226,52 @@ def _options_schema() -> dict[str, Any]:
 
 
 _PROBLEM_EXAMPLES = {
+    Kind.UNAUTHORIZED: (None, "The request has no API key that is valid here."),
+    Kind.FORBIDDEN_ORIGIN: (None, "Pages of 'https://example.org' may not call."),
+    Kind.TIMEOUT: (None, "The body stopped after 65536 bytes."),
+    Kind.RATE_LIMITED: (None, "The key 'night-run' may send 60 requests a minute."),
+    Kind.TOO_BUSY: (None, "15.9 of 16 permits for work are taken."),
+    Kind.NOT_RELOADED: (None, "The models cannot be loaded (it is no ONNX file); those before are used on."),
+    Kind.DEADLINE_EXCEEDED: (None, "There was no answer within the 2 s of X-Request-Timeout."),
     Kind.UNREADABLE_BODY: (None, "The form ends before its last boundary."),
     Kind.NOT_ACCEPTABLE: (None, "The client accepts 'image/png'."),
     Kind.TOO_LARGE: (None, "The body has 1073741824 bytes."),
     Kind.UNSUPPORTED_MEDIA_TYPE: (None, "The Content-Type is 'application/json'."),
     Kind.INVALID_FIELD: ("points", "none of the 120000 points is finite and within 100 km."),
     Kind.INTERNAL_ERROR: (None, "Request 5f0c failed for a reason that is ours."),
-    Kind.WORKER_DIED: (None, "The process that finds objects was lost with this request: ended by SIGKILL."),
+    Kind.WORKER_DIED: (None, "The detect worker was lost with this request: it was ended by SIGKILL."),
     Kind.MODEL_FAILED: (None, "its output 'scores' has 3 rows, boxes_px 4."),
     Kind.NO_DETECTOR: (None, "There is no detector (onnxruntime is not installed)."),
     Kind.NOT_READY: (None, "The warm-up has not ended yet."),
+}
+
+
+GUARD_KINDS = (Kind.UNAUTHORIZED, Kind.FORBIDDEN_ORIGIN, Kind.RATE_LIMITED)
+"""How any route may end but the probes."""
+
+WORK_KINDS = (
+    *GUARD_KINDS,
+    Kind.UNREADABLE_BODY,
+    Kind.NOT_ACCEPTABLE,
+    Kind.TIMEOUT,
+    Kind.TOO_LARGE,
+    Kind.UNSUPPORTED_MEDIA_TYPE,
+    Kind.INVALID_FIELD,
+    Kind.TOO_BUSY,
+    Kind.INTERNAL_ERROR,
+    Kind.WORKER_DIED,
+    Kind.MODEL_FAILED,
+    Kind.NO_DETECTOR,
+    Kind.NOT_READY,
+    Kind.DEADLINE_EXCEEDED,
+)
+"""How a route may end that computes in the workers."""
+
+DEADLINE_PARAMETER: dict[str, Any] = {
+    "name": "X-Request-Timeout",
+    "in": "header",
+    "description": "Seconds that the client waits; work that is not done by then is dropped.",
+    "schema": {"type": "number", "exclusiveMinimum": 0, "maximum": 86400},
 }
 
 

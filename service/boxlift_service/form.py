@@ -1,7 +1,8 @@
 """multipart/form-data as it streams in: known fields, each as often as it may come and within its size.
 
 Starlette's own form parser would spool files to disk, accept any field name and any end of the body;
-this one keeps the parts in memory (the body limit bounds them) and refuses at the first wrong byte.
+this one writes the parts to the memory that the workers read (the body limit bounds them) and refuses at the
+first wrong byte.
 """
 
 from __future__ import annotations
@@ -15,17 +16,10 @@ from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.requests import Request
 
 from boxlift_service.problems import Kind, ProblemError
+from boxlift_service.shared_parts import HeldBytes, SharedParts
 
 if TYPE_CHECKING:
     from python_multipart.multipart import MultipartCallbacks
-
-
-@dataclass(frozen=True)
-class Part:
-    """One field of a form; filename where the client sent it as a file."""
-
-    data: bytes
-    filename: str | None = None
 
 
 @dataclass(frozen=True)
@@ -37,24 +31,27 @@ class Field:
     max_parts: int = 1
 
 
-async def read_form(request: Request, fields: Mapping[str, Field]) -> dict[str, Part]:
-    """The parts of a request's form by name, where each of `fields` may come once. Raises as read_parts."""
-    return {name: parts[0] for name, parts in (await read_parts(request, fields)).items()}
+async def read_form(
+    request: Request, fields: Mapping[str, Field], held: HeldBytes | None = None
+) -> SharedParts:
+    """The parts of a request's form; whoever asked for them closes them.
 
-
-async def read_parts(request: Request, fields: Mapping[str, Field]) -> dict[str, tuple[Part, ...]]:
-    """The parts of a request's form by name, those of one name in their order.
-
-    Raises ProblemError: not multipart (415), malformed (400), a part beyond its size (413), and a field that
-    is unknown, missing or comes too often (422).
+    Raises ProblemError: not multipart (415), malformed (400), a part beyond its size (413), a field that is
+    unknown, missing or comes too often (422), no room among the `held` bytes (429).
     """
-    reader = _FormReader(_boundary(request), fields)
+    parts = SharedParts(held)
     try:
+        reader = _FormReader(_boundary(request), fields, parts)
         async for chunk in request.stream():
             reader.write(chunk)
+        reader.finish()
     except FormParserError as error:
+        parts.close()
         raise _unreadable(f"The form is malformed ({error!s:.120}).") from None
-    return reader.finish()
+    except BaseException:
+        parts.close()
+        raise
+    return parts
 
 
 def _boundary(request: Request) -> bytes:
@@ -65,7 +62,7 @@ def _boundary(request: Request) -> bytes:
             Kind.UNSUPPORTED_MEDIA_TYPE,
             f"The Content-Type is {content_type!r:.80}." if content_type else "There is no Content-Type.",
             "Send multipart/form-data.",
-            headers={"Accept-Post": "multipart/form-data"},
+            headers={"Accept-Post": "multipart/form-data, application/msgpack"},
         )
     if not parameters.get(b"boundary"):
         raise _unreadable("The Content-Type names no boundary.")
@@ -76,6 +73,13 @@ def _unreadable(problem: str) -> ProblemError:
     return ProblemError(Kind.UNREADABLE_BODY, problem, "Let an HTTP library build the form.")
 
 
+def require_fields(parts: SharedParts, fields: Mapping[str, Field]) -> None:
+    """Raises ProblemError (422) where a required field is missing."""
+    for name, field in fields.items():
+        if field.required and name not in parts:
+            raise _invalid(name, f"The form has no field {name!r}.", "Add it.")
+
+
 def _invalid(name: str, problem: str, remedy: str) -> ProblemError:
     return ProblemError(Kind.INVALID_FIELD, problem, remedy, field=name)
 
@@ -83,7 +87,7 @@ def _invalid(name: str, problem: str, remedy: str) -> ProblemError:
 class _FormReader:
     """Callbacks of the push parser, which reports headers and data piece by piece."""
 
-    def __init__(self, boundary: bytes, fields: Mapping[str, Field]) -> None:
+    def __init__(self, boundary: bytes, fields: Mapping[str, Field], parts: SharedParts) -> None:
         callbacks: MultipartCallbacks = {
             "on_part_begin": self._on_part_begin,
             "on_header_field": self._on_header_field,
@@ -99,20 +103,17 @@ class _FormReader:
         except FormParserError as error:
             raise _unreadable(f"The boundary is refused ({error!s:.120}).") from None
         self._fields = fields
-        self._parts: dict[str, list[Part]] = {}
+        self._parts = parts
         self._complete = False
         self._on_part_begin()
 
     def write(self, chunk: bytes) -> None:
         self._parser.write(chunk)
 
-    def finish(self) -> dict[str, tuple[Part, ...]]:
+    def finish(self) -> None:
         if not self._complete:
             raise _unreadable("The form ends before its last boundary.")
-        for name, field in self._fields.items():
-            if field.required and name not in self._parts:
-                raise _invalid(name, f"The form has no field {name!r}.", "Add it.")
-        return {name: tuple(parts) for name, parts in self._parts.items()}
+        require_fields(self._parts, self._fields)
 
     def _on_part_begin(self) -> None:
         self._header_name = b""
@@ -120,7 +121,6 @@ class _FormReader:
         self._disposition = b""
         self._name = ""
         self._filename: str | None = None
-        self._data = bytearray()
 
     def _on_header_field(self, data: bytes, start: int, end: int) -> None:
         self._header_name += data[start:end]
@@ -145,7 +145,7 @@ class _FormReader:
                 self._name[:60], f"The field {self._name!r:.60} is unknown.", f"Known fields: {known}."
             )
         most = self._fields[self._name].max_parts
-        if len(self._parts.get(self._name, ())) >= most:
+        if self._parts.count(self._name) >= most:
             often, remedy = ("twice", "once") if most == 1 else (f"{most + 1} times", f"at most {most} times")
             raise _invalid(self._name, f"The field {self._name!r} comes {often}.", f"Send it {remedy}.")
         if b"filename" in parameters:
@@ -153,18 +153,17 @@ class _FormReader:
 
     def _on_part_data(self, data: bytes, start: int, end: int) -> None:
         limit = self._fields[self._name].max_bytes
-        if len(self._data) + end - start > limit:
+        if self._parts.part_size + end - start > limit:
             raise ProblemError(
                 Kind.TOO_LARGE,
                 f"The field {self._name!r} has more than {limit} bytes.",
                 f"Send at most {limit} bytes.",
                 field=self._name,
             )
-        self._data += memoryview(data)[start:end]
+        self._parts.write(memoryview(data)[start:end])
 
     def _on_part_end(self) -> None:
-        self._parts.setdefault(self._name, []).append(Part(bytes(self._data), self._filename))
-        self._data = bytearray()
+        self._parts.end_part(self._name, self._filename)
 
     def _on_end(self) -> None:
         self._complete = True

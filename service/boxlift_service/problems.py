@@ -38,6 +38,7 @@ class Kind(Enum):
     WORKER_DIED = ("worker-died", 500, "The process that computed the answer ended")
     MODEL_FAILED = ("model-failed", 500, "The model failed on this input")
     NO_DETECTOR = ("no-detector", 503, "No detector is installed")
+    NOT_RELOADED = ("not-reloaded", 503, "The models could not be reloaded")
     NOT_READY = ("not-ready", 503, "The service is not ready")
     DEADLINE_EXCEEDED = ("deadline-exceeded", 504, "The time that the client gave has passed")
 
@@ -81,9 +82,9 @@ class ProblemError(Exception):
         self.field = field
         self.headers = dict(headers or {})
 
-    def response(self, path: str) -> Response:
-        """The answer to the request of `path`."""
-        details = ProblemDetails(
+    def details(self, path: str) -> ProblemDetails:
+        """What the request of `path` is told."""
+        return ProblemDetails(
             type=self.kind.uri,
             title=self.kind.title,
             status=self.kind.status,
@@ -93,7 +94,10 @@ class ProblemError(Exception):
             problem=self.problem,
             remedy=self.remedy,
         )
-        return _response(details, self.headers)
+
+    def response(self, path: str) -> Response:
+        """The answer to the request of `path`."""
+        return _response(self.details(path), self.headers)
 
 
 async def on_problem(request: Request, error: Exception) -> Response:
@@ -102,11 +106,15 @@ async def on_problem(request: Request, error: Exception) -> Response:
     return error.response(request.url.path)
 
 
+def problem_of(error: InputError) -> ProblemError:
+    """An InputError of the craft: some field is at fault."""
+    return ProblemError(Kind.INVALID_FIELD, error.problem, error.remedy, field=error.field)
+
+
 async def on_input_error(request: Request, error: Exception) -> Response:
-    """Answer an InputError of the craft: some field is at fault."""
+    """Answer an InputError."""
     assert isinstance(error, InputError)
-    problem = ProblemError(Kind.INVALID_FIELD, error.problem, error.remedy, field=error.field)
-    return problem.response(request.url.path)
+    return problem_of(error).response(request.url.path)
 
 
 async def on_http_exception(request: Request, error: Exception) -> Response:

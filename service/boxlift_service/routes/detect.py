@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
-from time import perf_counter
-
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
 from boxlift_service import documentation, timing
 from boxlift_service.answers import DetectAnswer
+from boxlift_service.deadline import Deadline, unless_gone
 from boxlift_service.detect_decoding import detect_fields
 from boxlift_service.detection import Detection
-from boxlift_service.detection_tasks import DetectTask
-from boxlift_service.form import read_parts
+from boxlift_service.detection_tasks import DetectedImages, DetectTask
+from boxlift_service.form import read_form
+from boxlift_service.metrics import Metrics
 from boxlift_service.negotiation import negotiate
-from boxlift_service.problems import Kind
 from boxlift_service.settings import ServiceSettings
+from boxlift_service.shared_parts import HeldBytes
 
 JSON = "application/json"
 TEXT = "text/plain"
 
 
-def detect_routes(detection: Detection, settings: ServiceSettings) -> APIRouter:
-    """POST /detect, computing in `detection` within the limits of `settings`."""
+def detect_routes(
+    detection: Detection, settings: ServiceSettings, held: HeldBytes, metrics: Metrics
+) -> APIRouter:
+    """POST /detect, by `detection`; bodies are counted in `held`."""
     routes = APIRouter(tags=["labels"])
     fields = detect_fields(settings)
 
@@ -39,35 +41,35 @@ def detect_routes(detection: Detection, settings: ServiceSettings) -> APIRouter:
                     TEXT: {"schema": {"type": "string"}, "example": documentation.LABEL_TEXT_EXAMPLE},
                 },
             },
-            **documentation.problem_responses(
-                Kind.UNREADABLE_BODY,
-                Kind.NOT_ACCEPTABLE,
-                Kind.TOO_LARGE,
-                Kind.UNSUPPORTED_MEDIA_TYPE,
-                Kind.INVALID_FIELD,
-                Kind.INTERNAL_ERROR,
-                Kind.WORKER_DIED,
-                Kind.MODEL_FAILED,
-                Kind.NO_DETECTOR,
-                Kind.NOT_READY,
-            ),
+            **documentation.problem_responses(*documentation.WORK_KINDS),
         },
-        openapi_extra={"requestBody": documentation.detect_request_body(settings.max_images)},
+        openapi_extra={
+            "parameters": [documentation.DEADLINE_PARAMETER],
+            "requestBody": documentation.detect_request_body(settings.max_images),
+        },
     )
     async def detect(request: Request) -> Response:
         """A prompt that cannot be used never fails its image: its entry says why it has no box."""
-        times = timing.RequestTimes()
+        times: timing.RequestTimes = request.state.times
         accept = request.headers.get("accept")
         media_type = negotiate(accept, (JSON, TEXT))
+        deadline = Deadline.of(request)
+        detection.pool.require_room()
         with times.stage("receive"):
-            parts = await read_parts(request, fields)
-        if len(parts["image"]) > 1:
-            media_type = negotiate(accept, (JSON,))  # KITTI lines do not say of which image they are
-        sent = perf_counter()
-        found = await detection.run(DetectTask(parts, as_text=media_type == TEXT))
-        # Whatever is not computing: waiting for those before, and the way there and back.
-        times.seconds["queue"] = max(0.0, perf_counter() - sent - sum(found.seconds.values()))
+            parts = await read_form(request, fields, held)
+        with parts:
+            images = parts.count("image")
+            if images > 1:
+                media_type = negotiate(accept, (JSON,))  # KITTI lines do not say of which image they are
+            task = DetectTask(parts.index(), as_text=media_type == TEXT)
+            found: DetectedImages
+            found, waited_s = await unless_gone(
+                request, detection.run(task, parts, images, deadline=deadline)
+            )
+        times.seconds["queue"] = waited_s
         times.seconds.update(found.seconds)
-        return Response(found.content, media_type=media_type, headers={timing.HEADER: times.header()})
+        metrics.count_results("/detect", found.results)
+        headers = {timing.HEADER: times.header()}
+        return Response(found.content, media_type=media_type, headers=headers)
 
     return routes

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from fastapi import APIRouter
 
 from boxlift_service import documentation
 from boxlift_service.answers import StatusAnswer
-from boxlift_service.detection import Detection
-from boxlift_service.engine import Engine
-from boxlift_service.problems import Kind
+from boxlift_service.lifecycle import Lifecycle
+from boxlift_service.problems import Kind, ProblemError
+from boxlift_service.worker_pool import WorkerPool
 
 
-def health_routes(engine: Engine, detection: Detection) -> APIRouter:
+def health_routes(pools: Sequence[WorkerPool], lifecycle: Lifecycle) -> APIRouter:
     """GET /healthz and GET /readyz."""
     routes = APIRouter(tags=["state"])
 
@@ -26,12 +28,20 @@ def health_routes(engine: Engine, detection: Detection) -> APIRouter:
         responses=documentation.problem_responses(Kind.NOT_READY),
     )
     async def readyz() -> StatusAnswer:
-        """Answers 200 while a built-in frame has been labelled and the models are loaded, else 503.
+        """Answers 200 while every worker has worked once and was heard from lately, else 503.
 
-        An installation without models is ready too: it labels.
+        So it is 503 while a worker is replaced, although the others work, and while the service drains. An
+        installation without models is ready too: it labels.
         """
-        engine.require_ready()
-        detection.require_ready()
+        if lifecycle.draining:
+            raise ProblemError(
+                Kind.NOT_READY,
+                "The service is about to end.",
+                "Ask another one.",
+                headers={"Retry-After": "10"},
+            )
+        for pool in pools:
+            pool.require_ready()
         return StatusAnswer(status="ready")
 
     return routes

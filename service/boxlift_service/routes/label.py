@@ -2,41 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-from time import perf_counter
-
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from boxlift.formats.details import details_of, kitti_text
-from boxlift.labeller import Labeller
-from boxlift.settings import LabellerSettings
 from boxlift_service import documentation, timing
-from boxlift_service.answers import LabelAnswer, label_answer_of
-from boxlift_service.decoding import decode_label_request, label_fields
-from boxlift_service.detection import Detection
-from boxlift_service.detection_tasks import FindPromptsTask
-from boxlift_service.engine import Engine
-from boxlift_service.form import Part, read_form
+from boxlift_service.answers import LabelAnswer
+from boxlift_service.deadline import Deadline, unless_gone
+from boxlift_service.decoding import label_fields
+from boxlift_service.form import read_form
+from boxlift_service.label_tasks import AnswerFormat
+from boxlift_service.labelling import Labelling
+from boxlift_service.metrics import Metrics
+from boxlift_service.msgpack_frames import is_msgpack, read_msgpack
 from boxlift_service.negotiation import negotiate
-from boxlift_service.problems import Kind
 from boxlift_service.settings import ServiceSettings
+from boxlift_service.shared_parts import HeldBytes
 
-JSON = "application/json"
-TEXT = "text/plain"
+TEXT = AnswerFormat.TEXT.value
 
 
 def label_routes(
-    engine: Engine,
-    detection: Detection,
-    settings: ServiceSettings,
-    presets: Mapping[str, LabellerSettings],
+    labelling: Labelling, settings: ServiceSettings, held: HeldBytes, metrics: Metrics
 ) -> APIRouter:
-    """POST /label, computing in `engine` within the limits of `settings`, by one of `presets`.
-
-    Where no prompts come along, `detection` finds them.
-    """
+    """POST /label, by `labelling`; bodies are counted in `held`."""
     routes = APIRouter(tags=["labels"])
     fields = label_fields(settings)
 
@@ -53,60 +41,30 @@ def label_routes(
                     TEXT: {"schema": {"type": "string"}, "example": documentation.LABEL_TEXT_EXAMPLE},
                 },
             },
-            **documentation.problem_responses(
-                Kind.UNREADABLE_BODY,
-                Kind.NOT_ACCEPTABLE,
-                Kind.TOO_LARGE,
-                Kind.UNSUPPORTED_MEDIA_TYPE,
-                Kind.INVALID_FIELD,
-                Kind.INTERNAL_ERROR,
-                Kind.WORKER_DIED,
-                Kind.MODEL_FAILED,
-                Kind.NO_DETECTOR,
-                Kind.NOT_READY,
-            ),
+            **documentation.problem_responses(*documentation.WORK_KINDS),
         },
-        openapi_extra={"requestBody": documentation.label_request_body()},
+        openapi_extra={
+            "parameters": [documentation.DEADLINE_PARAMETER],
+            "requestBody": documentation.label_request_body(),
+        },
     )
     async def label(request: Request) -> Response:
         """A prompt that cannot be used never fails the frame: its entry says why it has no box."""
-        times = timing.RequestTimes()
-        media_type = negotiate(request.headers.get("accept"), (JSON, TEXT))
+        times: timing.RequestTimes = request.state.times
+        answer = AnswerFormat(
+            negotiate(request.headers.get("accept"), (AnswerFormat.JSON.value, AnswerFormat.TEXT.value))
+        )
+        deadline = Deadline.of(request)
+        labelling.labellers.require_room()
         with times.stage("receive"):
-            parts = await read_form(request, fields)
-        queued = perf_counter()
-
-        def work() -> bytes:
-            times.seconds["queue"] = perf_counter() - queued
-            return _label(parts, media_type, settings, presets, detection, times)
-
-        content = await engine.run(work)
-        return Response(content, media_type=media_type, headers={timing.HEADER: times.header()})
+            if is_msgpack(request.headers.get("content-type", "")):
+                parts = await read_msgpack(request.stream(), fields, held)
+            else:
+                parts = await read_form(request, fields, held)
+        with parts:
+            labelled = await unless_gone(request, labelling.label(parts, answer, times, deadline=deadline))
+        metrics.count_results("/label", labelled.results)
+        headers = {timing.HEADER: times.header()}
+        return Response(labelled.content, media_type=answer.value, headers=headers)
 
     return routes
-
-
-def _label(
-    parts: dict[str, Part],
-    media_type: str,
-    limits: ServiceSettings,
-    presets: Mapping[str, LabellerSettings],
-    detection: Detection,
-    times: timing.RequestTimes,
-) -> bytes:
-    """The body of the answer."""
-    with times.stage("decode"):
-        request = decode_label_request(parts, limits, presets)
-    frame, model_digest = request.frame, None
-    if "prompts" not in parts:
-        with times.stage("detect"):
-            min_score = request.settings.detection.min_score
-            found = detection.call(FindPromptsTask(parts["image"].data, min_score))
-        frame = replace(frame, prompts=found.prompts, instance_ids=found.instance_ids)
-        model_digest = found.model_digest
-    labels = Labeller(request.settings).label(frame, times)
-    with times.stage("encode"):
-        if media_type == TEXT:
-            return kitti_text(details_of(labels)).encode()
-        answer = label_answer_of(labels, request.settings, request.dropped_points, model_digest)
-        return answer.model_dump_json(by_alias=True).encode()

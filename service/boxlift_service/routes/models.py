@@ -7,9 +7,11 @@ from collections.abc import Mapping
 from fastapi import APIRouter
 
 from boxlift.settings import DEFAULT_PRESET, LabellerSettings
+from boxlift_service import documentation
 from boxlift_service.answers import LabellerModel, ModelsAnswer, OnnxModelAnswer
 from boxlift_service.detection import Detection
 from boxlift_service.detection_models import ModelInfo
+from boxlift_service.problems import Kind
 
 
 def models_routes(detection: Detection, presets: Mapping[str, LabellerSettings]) -> APIRouter:
@@ -20,9 +22,7 @@ def models_routes(detection: Detection, presets: Mapping[str, LabellerSettings])
         for name, settings in presets.items()
     )
 
-    @routes.get("/models", summary="Presets of the labeller, and the models that find objects")
-    async def models() -> ModelsAnswer:
-        """The settings of every preset, with their fingerprints; the digest of every model's file."""
+    def answer() -> ModelsAnswer:
         infos = {"detector": detection.detector, "monocular": detection.monocular}
         return ModelsAnswer(
             labellers=labellers,
@@ -31,6 +31,28 @@ def models_routes(detection: Detection, presets: Mapping[str, LabellerSettings])
             monocular=_answer(detection.monocular),
             missing={name: info.missing for name, info in infos.items() if info.missing is not None},
         )
+
+    @routes.get(
+        "/models",
+        summary="Presets of the labeller, and the models that find objects",
+        responses=documentation.problem_responses(*documentation.GUARD_KINDS),
+    )
+    async def models() -> ModelsAnswer:
+        """The settings of every preset, with their fingerprints; the digest of every model's file."""
+        return answer()
+
+    @routes.post(
+        "/models:reload",
+        summary="Read the model files again",
+        responses=documentation.problem_responses(*documentation.GUARD_KINDS, Kind.NOT_RELOADED),
+    )
+    async def reload() -> ModelsAnswer:
+        """The workers are replaced one by one, each by one that is ready: no request is lost or refused.
+
+        Where a file cannot be used, those before stay. SIGHUP does the same.
+        """
+        await detection.reload()
+        return answer()
 
     return routes
 
