@@ -23,6 +23,9 @@ from prometheus_client.registry import Collector
 
 import boxlift
 
+CLIENT_GONE = 499
+"""Status of a request whose client did not wait for the answer."""
+
 WORKER_STATES = ("ready", "starting", "failed")
 
 _REQUEST_BUCKETS_S = (
@@ -66,7 +69,7 @@ class Metrics:
         )
         self._request_seconds = Histogram(
             "boxlift_request_seconds",
-            "From the headers of a request to the end of its answer.",
+            "From the headers of a request to the end of its answer; refusals (4xx) are left out.",
             ("route",),
             registry=registry,
             buckets=_REQUEST_BUCKETS_S,
@@ -97,9 +100,11 @@ class Metrics:
         ProcessCollector(registry=registry)
 
     def observe_request(self, route: str, method: str, status: int, seconds: float) -> None:
-        """An answered request; `route` and `method` are of a small set, whatever clients send."""
+        """A request that has ended; `route` and `method` are of a small set, whatever clients send."""
         self._requests.labels(route, method, status).inc()
-        self._request_seconds.labels(route).observe(seconds)
+        # Refusals are quick, and many of them would hide how long the others take.
+        if not 400 <= status < CLIENT_GONE:
+            self._request_seconds.labels(route).observe(seconds)
 
     def observe_stages(self, route: str, seconds: Mapping[str, float]) -> None:
         """The stages of a request."""
