@@ -2,12 +2,16 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import re
+import socket
 import subprocess
 import sys
 from datetime import UTC, datetime
 from typing import Any
+from urllib.parse import urlsplit
 
+import httpx
 import pytest
 
 from boxlift_service.logs import JsonFormatter, TextFormatter, of_request
@@ -149,3 +153,35 @@ for name in ("boxlift_service", "uvicorn.error", "boxlift"):
     logging.getLogger(name).error("loud")
 """
     assert [line.split(": ")[1] for line in lines_of("text", code, "error")] == ["loud"] * 3
+
+
+def test_every_line_of_the_service_is_an_object() -> None:
+    environment = {**os.environ, "BOXLIFT_PORT": "0", "BOXLIFT_LOG_FORMAT": "json"}
+    with subprocess.Popen(
+        [sys.executable, "-m", "boxlift_service"], env=environment, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stderr is not None
+        lines = []
+        for line in process.stderr:
+            lines.append(json.loads(line))
+            if found := re.search(r"running on (http://\S+)", line):
+                break
+        else:
+            pytest.fail("it does not say where it listens")
+        headers = {"X-Request-ID": "4711"}
+        httpx.post(f"{found[1]}/label", content=b"nonsense", headers=headers)
+        httpx.get(f"{found[1]}/%0a%22nothing", headers=headers)
+        with socket.create_connection((urlsplit(found[1]).hostname, urlsplit(found[1]).port)) as connection:
+            connection.sendall(b"nonsense\r\n\r\n")
+            assert connection.recv(100).startswith(b"HTTP/1.1 400")
+        process.terminate()
+        lines += [json.loads(line) for line in process.stderr]
+
+    assert all({"time", "level", "logger", "message"} <= set(line) for line in lines)
+    told = [line for line in lines if line["logger"] == "boxlift_service.requests"]
+    assert [(line["method"], line["route"], line["status"]) for line in told] == [
+        ("POST", "/label", 415),
+        ("GET", "other", 404),
+    ]
+    assert [line["request_id"] for line in told] == ["4711", "4711"]
+    assert told[1]["path"] == '/\n"nothing'

@@ -13,6 +13,8 @@ from prometheus_client.parser import text_string_to_metric_families
 import boxlift
 from boxlift_service.metrics import Metrics, PoolState, resident_bytes
 from boxlift_service.routes.metrics import metrics_routes
+from service.frames import SmallFrame
+from service.running import RunningService
 from service.served import served
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the system has no /proc")
@@ -189,3 +191,50 @@ def test_metrics_are_served() -> None:
     assert response.status_code == 200
     assert response.headers["content-type"] == "text/plain; version=0.0.4; charset=utf-8"
     assert samples(response.content)["boxlift_connections"] == 1
+
+
+def test_service_tells_what_it_did(service: RunningService, frame: SmallFrame) -> None:
+    def told() -> dict[str, float]:
+        return samples(service.client.get("/metrics").content)
+
+    def increase(name: str) -> float:
+        return after.get(name, 0) - before.get(name, 0)
+
+    before = told()
+    assert service.label(frame.fields()).status_code == 200
+    assert service.client.post("/v1/label", files=list(frame.fields().items())).status_code == 200
+    assert service.label(frame.fields(calib=b"nonsense")).status_code == 422
+    after = told()
+
+    assert increase("boxlift_requests_total method=POST route=/label status=200") == 2
+    assert increase("boxlift_requests_total method=POST route=/label status=422") == 1
+    assert increase("boxlift_request_seconds_count route=/label") == 2
+    for stage in ("queue", "decode", "ground", "fit", "encode"):
+        assert increase(f"boxlift_stage_seconds_count route=/label stage={stage}") == 2
+    assert increase("boxlift_results_total result=FITTED route=/label") == 2
+    for pool in ("label", "detect"):
+        assert after[f"boxlift_workers pool={pool} state=ready"] == 1
+        assert after[f"boxlift_permits pool={pool}"] > after[f"boxlift_permits_taken pool={pool}"] == 0
+        assert after[f"boxlift_queue_requests pool={pool}"] == 0
+    assert after["boxlift_connections"] >= 1
+    assert after["boxlift_held_bytes"] == 0
+
+
+@needs_proc
+def test_service_tells_the_size_of_its_workers(service: RunningService) -> None:
+    found = samples(service.client.get("/metrics").content)
+
+    for pool in ("label", "detect"):
+        assert found[f"boxlift_worker_resident_bytes pool={pool} worker=0"] > 20e6
+    assert found["process_resident_memory_bytes"] > 20e6
+
+
+def test_paths_of_the_service_are_the_same_few_labels(service: RunningService) -> None:
+    for path in ("/openapi.json", "/v1/models", "/label/", "/v1/nothing"):
+        service.client.get(path)
+
+    found = samples(service.client.get("/metrics").content)
+
+    routes = {name.split("route=")[1].split(" ")[0] for name in found if name.startswith("boxlift_requests")}
+    assert {"/openapi.json", "/models", "other"} <= routes
+    assert not [route for route in routes if route.startswith("/v1") or route == "/label/"]

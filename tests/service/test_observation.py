@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -15,9 +16,11 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from boxlift_service.app import create_app
 from boxlift_service.logs import of_request
 from boxlift_service.metrics import Metrics
 from boxlift_service.observation import ObservationMiddleware
+from boxlift_service.settings import ServiceSettings
 from service.served import Served, served
 from service.test_metrics import scraped
 
@@ -297,6 +300,19 @@ def test_lingering_close_is_no_part_of_the_duration() -> None:
 
     assert counted(metrics) == {"GET /label 200": 1}
     assert 0 < scraped(metrics)["boxlift_request_seconds_sum route=/label"] <= answered_s[0]
+
+
+def test_what_the_service_refuses_before_its_routes_is_told_by_route(tmp_path: Path) -> None:
+    keys = tmp_path / "keys"
+    keys.write_text(f"somebody {'0' * 64}\n")
+    metrics = Metrics()
+    with served(create_app(ServiceSettings(api_keys=keys), metrics)) as server:
+        for path in ("/label", "/v1/detect", "/metrics", "/openapi.json", "/nothing"):
+            assert httpx.get(f"{server.url}{path}").status_code == 401
+
+    assert counted(metrics) == {
+        f"GET {route} 401": 1 for route in ("/label", "/detect", "/metrics", "/openapi.json", "other")
+    }
 
 
 async def _call(app: ASGIApp) -> None:

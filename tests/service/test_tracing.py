@@ -24,6 +24,8 @@ from boxlift_service.metrics import Metrics
 from boxlift_service.observation import ObservationMiddleware
 from boxlift_service.timing import RequestTimes
 from boxlift_service.tracing import Tracing
+from service.frames import SmallFrame
+from service.running import running_service
 from service.served import served
 
 
@@ -230,3 +232,17 @@ except ImportError as error:
         [sys.executable, "-c", program], capture_output=True, text=True, check=True, env=dict(os.environ)
     )
     assert ended.stdout.strip().endswith("install it with: pip install 'boxlift[otel]'.")
+
+
+def test_service_sends_the_last_trace_before_it_ends(collector: Collector, frame: SmallFrame) -> None:
+    with running_service(tracing="true") as service:
+        response = service.label(frame.fields())
+        assert response.status_code == 200
+
+    (label,) = [span for span in collector.spans if span.name == "POST /label"]
+    assert attributes(label)["boxlift.request_id"] == response.headers["x-request-id"]
+    stages = {span.name: span for span in collector.spans if span.parent_span_id == label.span_id}
+    assert {"receive", "queue", "decode", "ground", "fit", "encode"} <= set(stages)
+    for stage in stages.values():
+        assert label.start_time_unix_nano <= stage.start_time_unix_nano
+        assert stage.end_time_unix_nano <= label.end_time_unix_nano
