@@ -36,6 +36,7 @@ _STAGE_BUCKETS_S = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0
 
 # Series that begin with 0, so that the first occurrence is an increase.
 _REFUSALS = ("too_busy",)
+_HTTP_REFUSALS = ("connections", "headers", "held_bytes", "key", "origin", "rate", "unread")
 _DROPS = ("client_gone", "deadline")
 _RESTARTS = ("died", "silent", "late", "reload")
 
@@ -95,6 +96,7 @@ class Metrics:
         )
         build = Gauge("boxlift_build_info", "Always 1; says the version.", ("version",), registry=registry)
         build.labels(boxlift.__version__).set(1)
+        _begin(self._refused, "http", _HTTP_REFUSALS)
         self._now = _Now()
         registry.register(self._now)
         ProcessCollector(registry=registry)
@@ -117,7 +119,7 @@ class Metrics:
             self._results.labels(route, result).inc(count)
 
     def count_refused(self, pool: str, reason: str) -> None:
-        """A request that was not taken on."""
+        """A request that was not taken on; pool `http`: before it came to a pool."""
         self._refused.labels(pool, reason).inc()
 
     def count_dropped(self, pool: str, reason: str) -> None:
@@ -131,13 +133,9 @@ class Metrics:
     def watch_pool(self, pool: str, state: Callable[[], PoolState]) -> None:
         """Tell the state of a pool from now on; `state` is called by every scrape."""
         self._now.pools[pool] = state
-        for counter, reasons in (
-            (self._refused, _REFUSALS),
-            (self._dropped, _DROPS),
-            (self._restarts, _RESTARTS),
-        ):
-            for reason in reasons:
-                counter.labels(pool, reason)
+        _begin(self._refused, pool, _REFUSALS)
+        _begin(self._dropped, pool, _DROPS)
+        _begin(self._restarts, pool, _RESTARTS)
 
     def watch(self, name: str, description: str, value: Callable[[], float]) -> None:
         """Tell a value under `name` from now on; `value` is called by every scrape."""
@@ -196,6 +194,12 @@ class _Now(Collector):
                 if (size := resident_bytes(pid)) is not None:
                     resident.add_metric([pool, str(number)], size)
         yield from (permits, taken, queued, running, workers, resident)
+
+
+def _begin(counter: Counter, pool: str, reasons: Iterable[str]) -> None:
+    """Have the series, with 0."""
+    for reason in reasons:
+        counter.labels(pool, reason)
 
 
 def resident_bytes(pid: int) -> int | None:

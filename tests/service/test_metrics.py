@@ -109,13 +109,14 @@ def test_a_pool_is_read_by_every_scrape() -> None:
     assert second["boxlift_workers pool=label state=failed"] == 1
 
 
-def test_series_of_a_pool_begin_with_zero() -> None:
+def test_series_begin_with_zero() -> None:
     # A series that appears with its first count is no increase to Prometheus.
     metrics = Metrics()
     metrics.watch_pool("detect", a_pool)
 
     found = scraped(metrics)
 
+    assert found["boxlift_refused_total pool=http reason=rate"] == 0
     assert found["boxlift_refused_total pool=detect reason=too_busy"] == 0
     assert found["boxlift_dropped_total pool=detect reason=deadline"] == 0
     assert found["boxlift_worker_restarts_total pool=detect reason=silent"] == 0
