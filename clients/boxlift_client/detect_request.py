@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,18 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.camera import Calibration
-from boxlift.errors import ImageError, InputError, MissingExtraError
+from boxlift.errors import ImageError
 from boxlift.formats import prompts as prompt_format
 from boxlift.frame import Prompt
-
-# (Field, (file name, content, media type)); image and calib may come several times.
-Parts = list[tuple[str, tuple[str | None, bytes, str]]]
-
-# A file by its path, or what is in it.
-File = Path | str | bytes
-
-_JSON = "application/json"
-_BINARY = "application/octet-stream"
+from boxlift_client.request_parts import BINARY, JSON, PNG, File, Parts, content, png
 
 
 def parts_of_image(
@@ -35,8 +26,8 @@ def parts_of_image(
     """The form for one (H, W, 3) uint8 RGB image; every number and pixel is sent exactly."""
     camera = {"P2": calibration.image_P_cam.tolist()}
     parts: Parts = [
-        ("image", (f"{name}.png", _png(image), "image/png")),
-        ("calib", (None, json.dumps(camera).encode(), _JSON)),
+        ("image", (f"{name}.png", _png(image), PNG)),
+        ("calib", (None, json.dumps(camera).encode(), JSON)),
     ]
     return parts + _texts(None if prompts is None else prompt_format.to_json(prompts), min_score)
 
@@ -54,37 +45,21 @@ def parts_of_files(
         filename = None if isinstance(image, bytes) else Path(image).name
         if names is not None:
             filename = f"{names[index]}.image"
-        parts.append(("image", (filename or f"frame-{index}", _content("image", image), _BINARY)))
-    parts.extend(("calib", ("calib", _content("calib", calib), _BINARY)) for calib in calibs)
+        parts.append(("image", (filename or f"frame-{index}", content("image", image), BINARY)))
+    parts.extend(("calib", ("calib", content("calib", calib), BINARY)) for calib in calibs)
     return parts + _texts(None if prompts is None else prompt_format.lists_to_json(prompts), min_score)
 
 
 def _texts(prompts_json: str | None, min_score: float | None) -> Parts:
     parts: Parts = []
     if prompts_json is not None:
-        parts.append(("prompts", (None, prompts_json.encode(), _JSON)))
+        parts.append(("prompts", (None, prompts_json.encode(), JSON)))
     if min_score is not None:
         parts.append(("min_score", (None, repr(float(min_score)).encode(), "text/plain")))
     return parts
 
 
-def _content(field: str, source: File) -> bytes:
-    if isinstance(source, bytes):
-        return source
-    try:
-        return Path(source).read_bytes()
-    except OSError as error:
-        raise InputError(field, f"{str(source)!r} cannot be read ({error.strerror}).", "Check it.") from None
-
-
 def _png(image: NDArray[np.uint8]) -> bytes:
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or image.size == 0:
         raise ImageError("image", f"the array is {image.dtype} {image.shape}.", "Give uint8 (H, W, 3), RGB.")
-    try:
-        from PIL import Image
-    except ModuleNotFoundError:
-        raise MissingExtraError("pillow", "client") from None
-    stream = io.BytesIO()
-    # Half the size of none at a tenth of the time of the best.
-    Image.fromarray(image).save(stream, "PNG", compress_level=1)
-    return stream.getvalue()
+    return png(image)

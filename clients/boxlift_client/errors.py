@@ -5,6 +5,8 @@ BoxliftError
 │   ├── ServiceUnreachableError     nobody answers, or not in time
 │   ├── ServiceProblemError         the service answered with a problem (RFC 9457)
 │   │   ├── RequestRefusedError     4xx: what was sent is at fault; field, problem and remedy say how
+│   │   │   └── NotAuthorizedError  401: no API key, or one that the service does not know
+│   │   ├── ServiceBusyError        429: the service, or the key, has as much to do as it may; ask later
 │   │   └── ServiceFailedError      5xx: the service is at fault, or cannot do this (yet)
 │   └── UnexpectedAnswerError       the answer is not one of boxlift's
 ├── ServiceStartError               a service that was started here does not come up
@@ -64,6 +66,14 @@ class ServiceProblemError(ServiceError):
 
 class RequestRefusedError(ServiceProblemError):
     """4xx: the service refuses what was sent."""
+
+
+class NotAuthorizedError(RequestRefusedError):
+    """401: the service asks for an API key, and got none or one that it does not know."""
+
+
+class ServiceBusyError(ServiceProblemError):
+    """429: the service has as much to do as it takes on, or the key has used up its rate."""
 
 
 class ServiceFailedError(ServiceProblemError):

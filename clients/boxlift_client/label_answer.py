@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from http import HTTPStatus
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, Field, ValidationError
 
 from boxlift.formats.details import FrameDetails, kitti_text
 from boxlift_client.errors import (
+    NotAuthorizedError,
     Problem,
     RequestRefusedError,
+    ServiceBusyError,
     ServiceFailedError,
     ServiceProblemError,
     UnexpectedAnswerError,
@@ -63,19 +67,37 @@ def read_answer(url: str, content: bytes, answer_type: type[Answer], what: str) 
         ) from None
 
 
+def check_settings(url: str, answer: LabelAnswer, fingerprint: str) -> None:
+    """Raises UnexpectedAnswerError where the labels were made with other settings than were asked for."""
+    if answer.settings_fingerprint != fingerprint:
+        raise UnexpectedAnswerError(
+            url,
+            f"the service labelled with the settings {answer.settings_fingerprint}, not with "
+            f"{fingerprint} as asked: it is of another version ({answer.boxlift_version}).",
+        )
+
+
 def problem_error(url: str, status: int, content: bytes) -> ServiceProblemError:
     """The body of a refusal or failure as the exception to raise; never raises itself."""
-    error_type = RequestRefusedError if 400 <= status < 500 else ServiceFailedError
-    return error_type(url, _read_problem(status, content))
-
-
-def _read_problem(status: int, content: bytes) -> Problem:
     try:
         members: Any = json.loads(content)
     except ValueError:
         members = None
     if not isinstance(members, dict):
-        return Problem(status, detail=content[:200].decode("utf-8", "replace"))
+        members = {"detail": content[:200].decode("utf-8", "replace")}
+    return error_of_problem(url, status, members)
+
+
+def error_of_problem(url: str, status: int, members: Mapping[str, Any]) -> ServiceProblemError:
+    """The members of a problem document as the exception to raise."""
     known = ("type", "title", "detail", "field", "problem", "remedy")
     texts = {key: members[key] for key in known if isinstance(members.get(key), str)}
-    return Problem(status, **texts)
+    return _error_type(status)(url, Problem(status, **texts))
+
+
+def _error_type(status: int) -> type[ServiceProblemError]:
+    if status == HTTPStatus.UNAUTHORIZED:
+        return NotAuthorizedError
+    if status == HTTPStatus.TOO_MANY_REQUESTS:
+        return ServiceBusyError
+    return RequestRefusedError if 400 <= status < 500 else ServiceFailedError

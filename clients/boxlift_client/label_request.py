@@ -9,23 +9,38 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from boxlift.errors import ImageError, InputError, MissingExtraError
+from boxlift.errors import ImageError
 from boxlift.formats import prompts as prompt_format
 from boxlift.frame import Frame, Prompt
 from boxlift.settings import LabellerSettings
+from boxlift_client.request_parts import BINARY, JSON, PNG, TEXT, File, Form, Part, content, png
 
-# Field of the form -> (file name, content, media type).
-Form = dict[str, tuple[str | None, bytes, str]]
 
-_JSON = "application/json"
-_BINARY = "application/octet-stream"
-_TEXT = "text/plain; charset=utf-8"
+@dataclass(frozen=True)
+class FrameFiles:
+    """A frame as files, or their bytes, in any format that the service reads.
+
+    points: .bin, .npy, .npz, .pcd or .ply. calib: KITTI text or JSON. prompts: without them the service
+    finds the objects in the image. image: PNG or JPEG, needed for that and where `calib` does not say
+    image_size. masks: 16-bit PNG, prompt index + 1. name: of the frame, which seeds random choices; the
+    stem of a points file where None. options: a preset and what to change of it, e.g.
+    {"preset": "release", "fit": {"method": "adam"}}.
+    """
+
+    points: File
+    calib: File
+    prompts: Sequence[Prompt] | None = None
+    image: File | None = None
+    masks: File | None = None
+    name: str | None = None
+    options: Mapping[str, Any] | None = None
 
 
 def form_of_frame(frame: Frame, settings: LabellerSettings, *, detect: bool = False) -> Form:
@@ -41,73 +56,47 @@ def form_of_frame(frame: Frame, settings: LabellerSettings, *, detect: bool = Fa
         "image_size": [int(width), int(height)],
     }
     form: Form = {
-        "name": (None, frame.name.encode(), _TEXT),
-        "points": ("points.npy", _npy(frame.points_velo[:, :3]), _BINARY),
-        "calib": ("calib.json", json.dumps(calibration).encode(), _JSON),
-        "options": (None, settings.model_dump_json().encode(), _JSON),
+        "name": (None, frame.name.encode(), TEXT),
+        "points": ("points.npy", _npy(frame.points_velo[:, :3]), BINARY),
+        "calib": ("calib.json", json.dumps(calibration).encode(), JSON),
+        "options": (None, settings.model_dump_json().encode(), JSON),
     }
     if detect:
         if frame.image is None:
             raise ImageError(
                 "image", f"frame {frame.name!r} has no image to find objects in.", "Add it, or give prompts."
             )
-        form["image"] = ("image.png", _png(frame.image), "image/png")
+        form["image"] = ("image.png", png(frame.image), PNG)
         return form
-    form["prompts"] = (None, prompt_format.to_json(frame.prompts).encode(), _JSON)
+    form["prompts"] = (None, prompt_format.to_json(frame.prompts).encode(), JSON)
     if frame.instance_ids is not None:
-        form["masks"] = ("masks.png", _png(frame.instance_ids.astype(np.uint16)), "image/png")
+        form["masks"] = ("masks.png", png(frame.instance_ids.astype(np.uint16)), PNG)
     return form
 
 
-def form_of_files(
-    points: Path | str | bytes,
-    calib: Path | str | bytes,
-    prompts: Sequence[Prompt] | None,
-    *,
-    image: Path | str | bytes | None = None,
-    masks: Path | str | bytes | None = None,
-    name: str | None = None,
-    options: Mapping[str, Any] | None = None,
-) -> Form:
-    """The form with files, or their bytes, as they are; decoding them is the service's. See Client."""
-    form: Form = {
-        "points": _file("points", points),
-        "calib": _file("calib", calib),
-    }
-    if prompts is not None:
-        form["prompts"] = (None, prompt_format.to_json(prompts).encode(), _JSON)
-    if image is not None:
-        form["image"] = _file("image", image)
-    if masks is not None:
-        form["masks"] = _file("masks", masks)
-    if name is not None:
-        form["name"] = (None, name.encode(), _TEXT)
-    if options is not None:
-        form["options"] = (None, json.dumps(dict(options)).encode(), _JSON)
+def form_of_files(files: FrameFiles) -> Form:
+    """The form with files as they are; decoding them is the service's. Raises InputError."""
+    form: Form = {}
+    if files.name is not None:
+        form["name"] = (None, files.name.encode(), TEXT)
+    form["points"] = _file("points", files.points)
+    form["calib"] = _file("calib", files.calib)
+    if files.prompts is not None:
+        form["prompts"] = (None, prompt_format.to_json(files.prompts).encode(), JSON)
+    if files.image is not None:
+        form["image"] = _file("image", files.image)
+    if files.masks is not None:
+        form["masks"] = _file("masks", files.masks)
+    if files.options is not None:
+        form["options"] = (None, json.dumps(dict(files.options)).encode(), JSON)
     return form
 
 
-def _file(field: str, source: Path | str | bytes) -> tuple[str, bytes, str]:
-    if isinstance(source, bytes):
-        return field, source, _BINARY
-    try:
-        return Path(source).name, Path(source).read_bytes(), _BINARY
-    except OSError as error:
-        raise InputError(field, f"{str(source)!r} cannot be read ({error.strerror}).", "Check it.") from None
+def _file(field: str, source: File) -> Part:
+    return field if isinstance(source, bytes) else Path(source).name, content(field, source), BINARY
 
 
 def _npy(points: NDArray[np.floating]) -> bytes:
     stream = io.BytesIO()
     np.save(stream, np.ascontiguousarray(points, dtype=np.float32))
-    return stream.getvalue()
-
-
-def _png(pixels: NDArray[np.unsignedinteger]) -> bytes:
-    try:
-        from PIL import Image
-    except ModuleNotFoundError:
-        raise MissingExtraError("pillow", "client") from None
-    stream = io.BytesIO()
-    # The fastest compression: masks are few large areas, and images hardly get smaller.
-    Image.fromarray(pixels).save(stream, "PNG", compress_level=1)
     return stream.getvalue()

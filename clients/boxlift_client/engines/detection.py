@@ -13,7 +13,8 @@ from boxlift.formats.image import decode_image
 from boxlift.frame import Prompt
 from boxlift_client.client import Client
 from boxlift_client.detect_job import DetectJob, ImageWorker
-from boxlift_client.engines.http import REQUESTS_IN_FLIGHT, in_threads
+from boxlift_client.engines.http import REQUESTS_IN_FLIGHT
+from boxlift_client.in_threads import in_threads
 from boxlift_client.job import FrameReport
 
 # More threads than this wait for each other: the layers of the model are small.

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from collections.abc import Iterator, Sequence
 
 from boxlift_client.client import Client
+from boxlift_client.in_threads import in_threads
 from boxlift_client.job import FrameReport, FrameWorker, LabelJob
 
 # Enough that the service never waits for a client that loads or writes.
@@ -28,20 +27,3 @@ class HttpEngine:
                 job, lambda frame: client.label(frame, job.settings, detect=job.detects).details
             )
             yield from in_threads(worker.label_one, names, self._workers)
-
-
-def in_threads(
-    work: Callable[[str], FrameReport], names: Sequence[str], workers: int
-) -> Iterator[FrameReport]:
-    """What `work` says of every name, as it finishes, by that many threads."""
-    waiting = deque(names)
-    in_flight: set[Future[FrameReport]] = set()
-    pool = ThreadPoolExecutor(workers)
-    try:
-        while waiting or in_flight:
-            while waiting and len(in_flight) < 2 * workers:
-                in_flight.add(pool.submit(work, waiting.popleft()))
-            done, in_flight = wait(in_flight, return_when=FIRST_COMPLETED)
-            yield from (future.result() for future in done)
-    finally:
-        pool.shutdown(cancel_futures=True)
