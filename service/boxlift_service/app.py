@@ -32,8 +32,10 @@ from boxlift_service.problems import ProblemError, on_http_exception, on_input_e
 from boxlift_service.routes.detect import detect_routes
 from boxlift_service.routes.health import health_routes
 from boxlift_service.routes.label import label_routes
+from boxlift_service.routes.label_batch import BatchService, label_batch_routes
 from boxlift_service.routes.metrics import metrics_routes
 from boxlift_service.routes.models import models_routes
+from boxlift_service.routes.recognition import recognition_routes
 from boxlift_service.settings import ServiceSettings
 from boxlift_service.shared_parts import HeldBytes
 from boxlift_service.worker_pool import WorkerPool
@@ -90,13 +92,16 @@ def create_app(
         redoc_url=None,
     )
     app.state.reload = detection.reload  # for SIGHUP
-    for routes in (
+    resources = (
         label_routes(labelling, settings, held, metrics),
         detect_routes(detection, settings, held, metrics),
+        label_batch_routes(BatchService(labelling, settings, held, metrics, lifecycle)),
+        recognition_routes(labelling, settings, held, metrics),
         health_routes((labellers, detection.pool), lifecycle),
         models_routes(detection, presets),
         metrics_routes(metrics),
-    ):
+    )
+    for routes in resources:
         app.include_router(routes)
         app.include_router(routes, prefix=f"/v{API_VERSION}", include_in_schema=False)
     app.add_exception_handler(ProblemError, on_problem)
@@ -110,8 +115,10 @@ def create_app(
     if keys is not None:
         app.add_middleware(AuthMiddleware, keys=keys, settings=settings, on_refused=on_refused)
     add_origin_layers(app, settings, on_refused)
-    app.add_middleware(BodyLimitMiddleware, settings=settings)
-    paths = [route.path for route in app.routes if isinstance(route, Route)]
+    streamed = {f"{version}/label:batch" for version in ("", f"/v{API_VERSION}")}
+    app.add_middleware(BodyLimitMiddleware, settings=settings, streamed=streamed)
+    routed = [route for routes in resources for route in routes.routes]
+    paths = {"/openapi.json", *(route.path for route in routed if isinstance(route, Route))}
     app.add_middleware(ObservationMiddleware, metrics=metrics, paths=paths, tracing=tracing)
     return app
 

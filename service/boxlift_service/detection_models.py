@@ -16,6 +16,7 @@ from boxlift.formats.image import decode_image
 from boxlift.frame import Prompt
 from boxlift.monocular import Monocular
 from boxlift.settings import LabellerSettings
+from boxlift_service.logs import configure_logging
 from boxlift_service.settings import ENVIRONMENT_PREFIX, ServiceSettings
 
 T = TypeVar("T")
@@ -67,6 +68,7 @@ class Models:
 
 def open_models(settings: ServiceSettings, presets: Mapping[str, LabellerSettings]) -> Models:
     """Load what the settings name, or what ships, and run each once; one that fails is its error."""
+    configure_logging(settings.log_format, settings.log_level)
     threads = settings.detect_threads
     return Models(
         _opened("detector", settings.detector, lambda: _ready_detector(settings.detector, threads)),

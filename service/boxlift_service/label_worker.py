@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from boxlift.settings import LabellerSettings
+from boxlift_service.logs import configure_logging
 from boxlift_service.settings import ServiceSettings
 from boxlift_service.warm_up import warm_up
 
@@ -20,6 +21,7 @@ class LabelWorker:
 
 def open_label_worker(limits: ServiceSettings, presets: Mapping[str, LabellerSettings]) -> LabelWorker:
     """Set the number of threads and label a frame. Raises what the labeller raises."""
+    configure_logging(limits.log_format, limits.log_level)
     import torch
 
     torch.set_num_threads(limits.label_threads)

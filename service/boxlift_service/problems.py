@@ -20,7 +20,7 @@ MEDIA_TYPE = "application/problem+json"
 class Kind(Enum):
     """The kinds of problems: slug of the type, status and title."""
 
-    UNREADABLE_BODY = ("unreadable-body", 400, "The request body cannot be read as a form")
+    UNREADABLE_BODY = ("unreadable-body", 400, "The request body cannot be read")
     NOT_FOUND = ("not-found", 404, "There is no such resource")
     METHOD_NOT_ALLOWED = ("method-not-allowed", 405, "The resource does not support this method")
     UNAUTHORIZED = ("unauthorized", 401, "The request needs a valid API key")
@@ -29,7 +29,7 @@ class Kind(Enum):
     TIMEOUT = ("timeout", 408, "The request did not come in in time")
     TOO_LARGE = ("too-large", 413, "The request is too large")
     UNSUPPORTED_MEDIA_TYPE = ("unsupported-media-type", 415, "The request body has the wrong media type")
-    INVALID_FIELD = ("invalid-field", 422, "A field of the form is missing, unknown or invalid")
+    INVALID_FIELD = ("invalid-field", 422, "A field of the request is missing, unknown or invalid")
     FETCH_REFUSED = ("fetch-refused", 422, "The service does not fetch from this URL")
     FETCH_FAILED = ("fetch-failed", 422, "The URL could not be fetched")
     TOO_BUSY = ("too-busy", 429, "The service has as much work as it takes on")

@@ -66,6 +66,10 @@ def run(settings: ServiceSettings) -> None:
             timer.daemon = True
             timer.start()
 
+        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+            lifecycle.draining = lifecycle.ending = True
+            await super().shutdown(sockets)
+
         async def startup(self, sockets: list[socket.socket] | None = None) -> None:
             await super().startup(sockets)
             with suppress(NotImplementedError, ValueError):  # no such signal, or not in the main thread

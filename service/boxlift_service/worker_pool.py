@@ -32,6 +32,9 @@ _log = logging.getLogger("boxlift_service")
 _SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 30.0
 # A worker that lived for this long was no failure to start.
 _LIVES_S = 10.0
+# Work is given again where a worker ended before it began; what ends them all is the work's own fault.
+_GIVEN_AT_MOST = 3
+_REASONS = {"died": "died", "silent": "was not heard from", "late": "gave no answer in time"}
 # A worker that opens loads libraries and models, and may be silent while it does.
 _OPENING_TAKES_TIMES = 8
 
@@ -44,6 +47,7 @@ class _Job:
     file: int | None
     result: asyncio.Future[tuple[Any, float]]
     queued: float = field(default_factory=perf_counter)
+    given: int = 0
 
     def close(self) -> None:
         if self.file is not None:
@@ -62,7 +66,7 @@ class _Worker:
         self.busy = False
         self.ended = asyncio.Event()
         self.silent_beats = 0
-        self.lost_because: Literal["died", "silent", "late"] = "died"
+        self.was_silent = False
 
 
 class WorkerPool:
@@ -164,9 +168,9 @@ class WorkerPool:
             permits=self.permits.total,
             permits_taken=self.permits.taken,
             queued=len(self._waiting),
-            running=len(self._computing),
+            running=sum(worker.busy for worker in self._workers),
             workers=Counter(states),
-            pids=tuple(pid for worker in self._workers if (pid := worker.process.pid) is not None),
+            pids=tuple(worker.process.pid or 0 for worker in self._workers),
         )
 
     async def run(
@@ -195,7 +199,7 @@ class WorkerPool:
         finally:
             self._forget(job)
 
-    async def renew(self, check: Callable[[Any], None]) -> None:
+    async def renew(self, check: Callable[[Any], object]) -> None:
         """Replace the processes one by one, each between two pieces of work and by one that is open.
 
         check: work that a new one does first. Raises BoxliftError, WorkerDiedError or WorkerFaultError where
@@ -222,7 +226,7 @@ class WorkerPool:
         """Have a process at this place, always."""
         pause_s = _SHORTEST_PAUSE_S
         while True:
-            worker.state, worker.silent_beats, worker.lost_because = "starting", 0, "died"
+            worker.state, worker.silent_beats, worker.was_silent = "starting", 0, False
             worker.ended.clear()
             start = monotonic()
             try:
@@ -241,8 +245,9 @@ class WorkerPool:
             self._watch(worker)
             self._dispatch()
             await worker.ended.wait()
-            _log.error("a %s worker has to be replaced: it %s", self.name, worker.lost_because)
-            self._metrics.count_restart(self.name, worker.lost_because)
+            reason = "silent" if worker.was_silent else "late" if worker.process.late else "died"
+            _log.error("a %s worker has to be replaced: it %s", self.name, _REASONS[reason])
+            self._metrics.count_restart(self.name, reason)
             if monotonic() - start > _LIVES_S:
                 pause_s = _SHORTEST_PAUSE_S
 
@@ -273,7 +278,7 @@ class WorkerPool:
             for worker in self._workers:
                 worker.silent_beats = 0 if worker.process.heard() else worker.silent_beats + 1
                 if worker.silent_beats > (most if worker.state == "ready" else most * _OPENING_TAKES_TIMES):
-                    worker.silent_beats, worker.lost_because = 0, "silent"
+                    worker.silent_beats, worker.was_silent = 0, True
                     worker.process.kill(f"it was not heard from for {self._silence_s:g} s and was ended.")
 
     # One piece of work
@@ -287,17 +292,15 @@ class WorkerPool:
 
     async def _compute(self, worker: _Worker, job: _Job) -> None:
         waited_s = perf_counter() - job.queued
+        job.given += 1
         try:
             answer = await _in_thread(worker, lambda: worker.process.call(job.work, job.file))
-        except WorkerGoneError:  # before it had the work
-            worker.state = "starting"
-            if not job.result.done():
-                self._waiting.appendleft(job)
         except WorkerDiedError as error:
             worker.state = "starting"
-            if error.late:
-                worker.lost_because = "late"
-            _settle(job.result, error=self._lost(error))
+            if isinstance(error, WorkerGoneError) and job.given < _GIVEN_AT_MOST and not job.result.done():
+                self._waiting.appendleft(job)  # it did not begin
+            else:
+                _settle(job.result, error=self._lost(error))
         except Exception as error:
             _settle(job.result, error=error)
         else:

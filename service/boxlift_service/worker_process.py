@@ -21,6 +21,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerContext, SpawnContext
 from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import recv_handle, send_handle
+from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
 from boxlift.errors import BoxliftError
@@ -38,11 +39,7 @@ _OPENS_WITHIN_S = 120.0
 
 
 class WorkerDiedError(Exception):
-    """The worker ended, or gave no answer in time and was ended (then it was `late`)."""
-
-    def __init__(self, message: str, *, late: bool = False) -> None:
-        super().__init__(message)
-        self.late = late
+    """The worker ended, or gave no answer in time and was ended."""
 
 
 class WorkerGoneError(WorkerDiedError):
@@ -58,7 +55,7 @@ class WorkerProcess(Generic[State]):
 
     opener: importable by name. method: how the process comes to be: "spawn", a new interpreter; "forkserver",
     a copy of a process that has loaded the libraries and computed nothing. Not for several threads at once,
-    but for kill, heard and pid.
+    but for kill, heard, pid and late: whether the last process was ended since it gave no answer in time.
     """
 
     def __init__(
@@ -79,7 +76,7 @@ class WorkerProcess(Generic[State]):
         self._pipe: Connection | None = None
         self._pulse: Connection | None = None
         self._killed_because: str | None = None
-        self._late = False
+        self.late = False
         self._pulse_lock = threading.Lock()
 
     @property
@@ -129,10 +126,10 @@ class WorkerProcess(Generic[State]):
         atexit.register(self.stop)  # it ignores SIGTERM, by which multiprocessing would end it
         self._pipe, theirs = context.Pipe()
         pulse, their_pulse = context.Pipe(duplex=False)
-        self._killed_because, self._late = None, False
+        self._killed_because, self.late = None, False
         self._process = context.Process(
             target=_work,
-            args=(theirs, their_pulse, self._opener, self._arguments),
+            args=(self._name, theirs, their_pulse, self._opener, self._arguments),
             name=self._name,
             daemon=True,
         )
@@ -163,7 +160,8 @@ class WorkerProcess(Generic[State]):
                 self._pipe.send((work, file is not None))
                 if file is not None:
                     send_handle(self._pipe, file, self._process.pid)
-            except (OSError, EOFError, RuntimeError):  # the last: it acknowledged nothing
+                self._pipe.recv_bytes()  # it has the work
+            except (OSError, EOFError, RuntimeError):  # the last: it acknowledged no descriptor
                 raise WorkerGoneError(str(self._died())) from None
             return self._answer()
 
@@ -196,7 +194,7 @@ class WorkerProcess(Generic[State]):
         """End the process if the body of the `with` takes longer than it may; its pipe breaks then."""
 
         def end_late() -> None:
-            self._late = True
+            self.late = True
             self.kill(f"it gave no answer within {seconds:g} s and was ended.")
 
         timer = threading.Timer(seconds, end_late)
@@ -223,16 +221,18 @@ class WorkerProcess(Generic[State]):
         code, because = self._process.exitcode, self._killed_because
         self.stop()
         if because is not None:
-            return WorkerDiedError(because, late=self._late)
+            return WorkerDiedError(because)
         if code is not None and code < 0:
             return WorkerDiedError(f"it was ended by {signal.Signals(-code).name}.")
         return WorkerDiedError(f"it ended with status {code}.")
 
 
 def _work(
-    pipe: Connection, pulse: Connection, opener: Callable[..., Any], arguments: tuple[Any, ...]
+    name: str, pipe: Connection, pulse: Connection, opener: Callable[..., Any], arguments: tuple[Any, ...]
 ) -> None:
     """In the worker: open, then answer until the pipe closes."""
+    with suppress(OSError):  # what ps and top show, on Linux
+        Path("/proc/self/comm").write_text(name)
     # Ctrl-C and the signals of a service manager reach the whole group; the parent finishes its requests.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
@@ -246,6 +246,7 @@ def _work(
         while opened:
             work, has_file = pipe.recv()
             file = recv_handle(pipe) if has_file else None
+            pipe.send_bytes(b"!")
             try:
                 answer = _attempt(work, state) if file is None else _attempt(work, state, file)
             finally:

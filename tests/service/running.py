@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import httpx
 
@@ -36,12 +37,29 @@ class RunningService:
         """POST /detect with a form."""
         return self.client.post("/detect", files=parts, headers={"Accept": accept})
 
-    @property
-    def workers(self) -> list[int]:
-        """Process numbers of the processes that the service started and that have not ended."""
-        listed = Path(f"/proc/{self.process.pid}/task").glob("*/children")
-        children = [int(word) for path in listed for word in path.read_text().split()]
-        return [pid for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    def workers(self, pool: Literal["label", "detect"]) -> list[int]:
+        """Process numbers of the workers of a pool that have not ended."""
+        return [pid for pid in descendants(self.process.pid) if _name(pid) == f"boxlift-{pool}"]
+
+
+def descendants(pid: int) -> list[int]:
+    """Process numbers of all that a process started, and those started, and so on."""
+    children = [
+        int(word) for path in Path(f"/proc/{pid}/task").glob("*/children") for word in _text_of(path).split()
+    ]
+    return children + [pid for child in children for pid in descendants(child)]
+
+
+def _name(pid: int) -> str:
+    return _text_of(Path(f"/proc/{pid}/comm")).strip()
+
+
+def _text_of(path: Path) -> str:
+    """Empty where the process has ended."""
+    try:
+        return path.read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return ""
 
 
 @contextmanager

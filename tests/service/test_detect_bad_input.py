@@ -20,11 +20,11 @@ ANY_INPUT = settings(
 @pytest.fixture(autouse=True)
 def still_detects_afterwards(service: RunningService) -> Iterator[None]:
     """Whatever a test sent: the same process of the service finds objects."""
-    workers = service.workers
+    workers = service.workers("detect")
     yield
     assert service.process.poll() is None
     assert service.detect(detect_parts(grey_png())).status_code == 200
-    assert service.workers == workers
+    assert service.workers("detect") == workers
 
 
 def camera(focal_x: float, focal_y: float = 700.0) -> bytes:

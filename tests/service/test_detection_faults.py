@@ -16,6 +16,7 @@ import pytest
 
 from boxlift.detector import DEFAULT_FILE
 from boxlift.errors import MissingExtraError, ModelFileError
+from boxlift.settings import PRESETS
 from boxlift_service import ServiceSettings
 from boxlift_service.app import create_app
 from boxlift_service.detection_models import open_models
@@ -49,7 +50,7 @@ def wait_for(what: Callable[[], bool]) -> None:
 
 
 def test_a_worker_that_is_killed_with_a_request(own: RunningService, frame: SmallFrame) -> None:
-    (worker,) = own.workers
+    (worker,) = own.workers("detect")
     os.kill(worker, signal.SIGSTOP)  # so that it certainly has the request
     with ThreadPoolExecutor(2) as pool:
         lost = pool.submit(own.detect, detect_parts(grey_png()))
@@ -65,45 +66,45 @@ def test_a_worker_that_is_killed_with_a_request(own: RunningService, frame: Smal
     assert answers[1].json()["type"] == "urn:boxlift:problem:worker-died"
     assert own.detect(detect_parts(grey_png())).status_code == 200
     assert own.label(frame.fields()).status_code == 200
-    assert worker not in own.workers
+    assert worker not in own.workers("detect")
 
 
 def test_a_worker_that_dies_idle_is_replaced_before_anybody_asks(own: RunningService) -> None:
-    (worker,) = own.workers
+    (worker,) = own.workers("detect")
     os.kill(worker, signal.SIGKILL)
-    wait_for(lambda: own.workers not in ([], [worker]))
+    wait_for(lambda: own.workers("detect") not in ([], [worker]))
     wait_until_ready(own.client)
     assert own.detect(detect_parts(grey_png())).status_code == 200
 
 
 def test_a_model_that_fails_on_an_image_is_no_fault_of_the_request(own: RunningService) -> None:
-    workers = own.workers
+    workers = own.workers("detect")
     assert_problem(
         own.detect(detect_parts(grey_png(255))), 500, None, "the model fails on image (360, 1200, 3)"
     )
     assert own.detect(detect_parts(grey_png(200))).status_code == 200
-    assert own.workers == workers
+    assert own.workers("detect") == workers
 
 
 def test_signals_of_the_group_leave_the_worker_to_its_parent(own: RunningService) -> None:
-    (worker,) = own.workers
+    (worker,) = own.workers("detect")
     for number in (signal.SIGTERM, signal.SIGINT):
         os.kill(worker, number)
     assert own.detect(detect_parts(grey_png())).status_code == 200
-    assert own.workers == [worker]
+    assert own.workers("detect") == [worker]
 
 
 def test_a_model_file_that_breaks_later(own: RunningService, own_model: Path, frame: SmallFrame) -> None:
     whole = own_model.read_bytes()
     own_model.write_bytes(b"broken")
-    (worker,) = own.workers
+    (worker,) = own.workers("detect")
     os.kill(worker, signal.SIGKILL)
     wait_for(lambda: own.client.get("/models").json()["monocular"] is None)
     assert_problem(own.detect(detect_parts(grey_png())), 503, None, "There is no monocular model")
     assert "ONNX Runtime cannot load it" in own.client.get("/models").json()["missing"]["monocular"]
     assert own.label(frame.fields()).status_code == 200
     own_model.write_bytes(whole)
-    (worker,) = own.workers
+    (worker,) = own.workers("detect")
     os.kill(worker, signal.SIGKILL)
     wait_for(lambda: own.client.get("/models").json()["monocular"] is not None)
     wait_until_ready(own.client)
@@ -113,7 +114,7 @@ def test_a_model_file_that_breaks_later(own: RunningService, own_model: Path, fr
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
 def test_the_worker_ends_with_the_service(model_path: Path, how: signal.Signals) -> None:
     with running_service(model=str(model_path)) as service:
-        (worker,) = service.workers
+        (worker,) = service.workers("detect")
         service.process.send_signal(how)
         service.process.wait(30)
 
@@ -125,7 +126,7 @@ def test_the_worker_ends_with_the_service(model_path: Path, how: signal.Signals)
 
 
 def test_torch_is_not_in_the_process_with_onnx_runtime(model_path: Path) -> None:
-    worker = WorkerProcess(open_models, (ServiceSettings(model=model_path),), 60)
+    worker = WorkerProcess(open_models, (ServiceSettings(model=model_path), PRESETS), 60)
     worker.start()
     try:
         loaded = worker.call(modules)

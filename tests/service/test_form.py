@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Mapping
 from itertools import pairwise
 
 import pytest
@@ -9,13 +10,14 @@ from hypothesis import strategies as st
 from starlette.requests import Request
 from starlette.types import Message
 
-from boxlift_service.form import Field, Part, read_form, read_parts
+from boxlift_service.form import Field, read_form
 from boxlift_service.problems import Kind, ProblemError
+from boxlift_service.shared_parts import HeldBytes, Part
 
 FIELDS = {"points": Field(1000, required=True), "name": Field(5)}
 
 
-def read(chunks: list[bytes], content_type: str = "multipart/form-data; boundary=line") -> dict[str, Part]:
+def read(chunks: list[bytes], fields: Mapping[str, Field] = FIELDS) -> dict[str, tuple[Part, ...]]:
     messages: list[Message] = [
         {"type": "http.request", "body": chunk, "more_body": index < len(chunks) - 1}
         for index, chunk in enumerate(chunks)
@@ -24,8 +26,15 @@ def read(chunks: list[bytes], content_type: str = "multipart/form-data; boundary
     async def receive() -> Message:
         return messages.pop(0)
 
-    scope = {"type": "http", "method": "POST", "headers": [(b"content-type", content_type.encode())]}
-    return asyncio.run(read_form(Request(scope, receive), FIELDS))
+    content_type = (b"content-type", b"multipart/form-data; boundary=line")
+    request = Request({"type": "http", "method": "POST", "headers": [content_type]}, receive)
+    held = HeldBytes(2000)
+    try:
+        with asyncio.run(read_form(request, fields, held)) as parts:
+            assert held.taken == sum(parts.size(name) for name in fields)
+            return {name: parts.read(name) for name in fields if name in parts}
+    finally:
+        assert held.taken == 0
 
 
 def form(points: bytes, name: bytes = b"abc") -> bytes:
@@ -46,7 +55,7 @@ def test_parts_do_not_depend_on_how_the_body_was_cut(points: bytes, cuts: list[i
     body = form(points)
     edges = [0, *sorted(cuts), len(body)]
     chunks = [body[start:end] for start, end in pairwise(edges)]
-    assert read(chunks) == {"points": Part(points, "p.bin"), "name": Part(b"abc")}
+    assert read(chunks) == {"points": (Part(points, "p.bin"),), "name": (Part(b"abc"),)}
 
 
 @pytest.mark.parametrize(
@@ -72,18 +81,10 @@ def test_a_field_may_come_several_times_in_its_order() -> None:
         b'--line\r\nContent-Disposition: form-data; name="image"\r\n\r\n%d\r\n' % number
         for number in range(4)
     )
-    messages: list[Message] = [{"type": "http.request", "body": images + b"--line--\r\n"}]
-
-    def read_images(most: int) -> dict[str, tuple[Part, ...]]:
-        async def receive() -> Message:
-            return messages[0]
-
-        headers = [(b"content-type", b"multipart/form-data; boundary=line")]
-        request = Request({"type": "http", "method": "POST", "headers": headers}, receive)
-        return asyncio.run(read_parts(request, {"image": Field(9, max_parts=most)}))
-
-    assert [part.data for part in read_images(4)["image"]] == [b"0", b"1", b"2", b"3"]
+    body = images + b"--line--\r\n"
+    parts = read([body], {"image": Field(9, max_parts=4)})
+    assert [part.data for part in parts["image"]] == [b"0", b"1", b"2", b"3"]
     with pytest.raises(ProblemError) as caught:
-        read_images(3)
+        read([body], {"image": Field(9, max_parts=3)})
     assert caught.value.problem == "The field 'image' comes 4 times."
     assert caught.value.remedy == "Send it at most 3 times."

@@ -20,7 +20,7 @@ from boxlift.priors import SizePrior
 from boxlift_service import ServiceSettings
 from boxlift_service.answers import LabelAnswer
 from boxlift_service.decoding import decode_label_request
-from boxlift_service.form import Part
+from boxlift_service.shared_parts import Part
 from service.frames import (
     CAM_T_VELO,
     CAR,

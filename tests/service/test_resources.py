@@ -79,7 +79,7 @@ def test_request_id_is_echoed_or_made(service: RunningService) -> None:
 
 
 def in_process_get(path: str, settings: ServiceSettings | None = None) -> httpx.Response:
-    """GET from an application whose server never started: no warm-up has run."""
+    """GET from an application whose server never started: no worker was started."""
     app = create_app(settings or ServiceSettings())
 
     @app.get("/fails")
@@ -112,11 +112,11 @@ def test_a_failure_of_ours_is_a_problem_that_shows_nothing_inside() -> None:
     assert "r1" in response.json()["detail"]
 
 
-def test_readyz_before_the_warm_up() -> None:
+def test_readyz_before_the_workers_are_open() -> None:
     response = in_process_get("/readyz")
     assert response.status_code == 503
-    assert response.headers["retry-after"] == "1"
-    assert "warm-up" in response.json()["problem"]
+    assert response.headers["retry-after"] == "2"
+    assert "not started yet" in response.json()["problem"]
 
 
 def references(value: Any) -> Iterator[str]:

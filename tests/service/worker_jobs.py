@@ -7,6 +7,7 @@ import signal
 import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 from boxlift.errors import OptionsError
 
@@ -74,3 +75,28 @@ def modules(state: object) -> list[str]:
     """Names of what is loaded there."""
     del state
     return sorted(sys.modules)
+
+
+@dataclass(frozen=True)
+class Nap:
+    """Work that takes a while, and tells who did it."""
+
+    seconds: float
+
+    def __call__(self, state: list[int]) -> int:
+        del state
+        time.sleep(self.seconds)
+        return os.getpid()
+
+
+def read_file(state: list[int], file: int) -> bytes:
+    """Work on shared memory."""
+    del state
+    return os.pread(file, 100, 0)
+
+
+def open_if_there(path: Path) -> list[int]:
+    """An opener that needs a file; the state is the number in it."""
+    if not path.exists():
+        raise OptionsError("file", "it is not there.", "Put it there.")
+    return [int(path.read_text())]
