@@ -20,10 +20,10 @@ from urllib.parse import unquote
 from boxlift.camera import Calibration
 from boxlift.errors import CalibrationError, InputError
 from boxlift.formats.calibration import to_kitti_text
-from boxlift.formats.xtreme1 import Xtreme1Object, merged, parse_camera_config
+from boxlift.formats.xtreme1 import Xtreme1Object, Xtreme1Results, merged, parse_camera_config
 from boxlift_service.deadline import Deadline
 from boxlift_service.fetching import Fetcher
-from boxlift_service.label_tasks import AnswerFormat
+from boxlift_service.label_tasks import AnswerFormat, LabelledFrame
 from boxlift_service.labelling import Labelling
 from boxlift_service.problems import Kind, ProblemError
 from boxlift_service.recognition_answers import RecognisedData, failed, recognised
@@ -67,7 +67,8 @@ class Recognition:
     ) -> None:
         self._labelling = labelling
         self._fetcher = fetcher
-        self._limits = settings
+        self._largest = settings.max_body_bytes
+        self._most_images = settings.max_images
         self._held = held
         # One sweep more than can be labelled is fetched; the others wait as the few URLs that they are.
         self._places = asyncio.Semaphore(settings.label_workers + 1)
@@ -78,9 +79,10 @@ class Recognition:
         """The objects of one of the data, or what went wrong with it. `times` and `results` are added to."""
         data_id = _id_of(data)
         try:
-            sweep = _parse_sweep(data, self._limits.max_images)
+            sweep = _parse_sweep(data, self._most_images)
             async with self._places:
-                return recognised(data_id, await self._objects_of(sweep, times, results, deadline))
+                objects, message = await self._objects_of(sweep, times, results, deadline)
+            return recognised(data_id, objects, message)
         except (InputError, ProblemError) as error:
             return failed(data_id, error)
         # The last net: each of the data fails by itself, even for a reason that is ours.
@@ -91,38 +93,47 @@ class Recognition:
 
     async def _objects_of(
         self, sweep: _Sweep, times: RequestTimes, results: Counter[str], deadline: Deadline | None
-    ) -> list[Xtreme1Object]:
-        """One camera after the other, so that of all images only one is held."""
-        with _added(times) as own_times, own_times.stage("fetch"):
-            points, config = await asyncio.gather(
-                self._fetcher.fetch(sweep.point_cloud_url, "pointCloudUrl", self._limits.max_body_bytes),
-                self._fetcher.fetch(sweep.camera_config_url, "cameraConfigUrl", _LARGEST_CONFIG_BYTES),
-            )
+    ) -> tuple[list[Xtreme1Object], str]:
+        """The objects, and doubts about the cameras; one after the other: of all images one is held."""
+        config = await self._fetched(
+            sweep.camera_config_url, "cameraConfigUrl", times, min(_LARGEST_CONFIG_BYTES, self._largest)
+        )
         calibrations = await asyncio.to_thread(_calibrations, config, sweep.images)
+        points = await self._fetched(sweep.point_cloud_url, "pointCloudUrl", times, self._largest)
         cloud = Part(points, _path_of(sweep.point_cloud_url)[-1])
-        cameras = []
+        cameras, doubts = [], []
         for image, calibration in calibrations:
-            with _added(times) as own_times:
-                with own_times.stage("fetch"):
-                    picture = await self._fetcher.fetch(image.url, image.field, self._limits.max_body_bytes)
-                parts = {
-                    "points": cloud,
-                    "calib": Part(to_kitti_text(calibration).encode()),
-                    "image": Part(picture),
-                    "name": Part(f"{sweep.id} camera {image.camera}".encode()),
-                }
-                try:
-                    with SharedParts.of(
-                        {name: (part,) for name, part in parts.items()}, self._held
-                    ) as shared:
-                        labelled = await self._labelling.label(
-                            shared, AnswerFormat.XTREME1, own_times, wait=True, deadline=deadline
-                        )
-                except InputError as error:
-                    raise _named_as_sent(error, image) from None
+            parts = {
+                "points": (cloud,),
+                "calib": (Part(to_kitti_text(calibration).encode()),),
+                "image": (Part(await self._fetched(image.url, image.field, times, self._largest)),),
+                "name": (Part(f"{sweep.id} camera {image.camera}".encode()),),
+            }
+            labelled = await self._labelled(parts, image, times, deadline)
             results.update(labelled.results)
-            cameras.append(json.loads(labelled.content))
-        return await asyncio.to_thread(merged, cameras)
+            found: Xtreme1Results = json.loads(labelled.content)
+            cameras.append(found["objects"])
+            doubts += [f"Camera {image.camera}: {warning}" for warning in found["warnings"]]
+        return await asyncio.to_thread(merged, cameras), " ".join(doubts)
+
+    async def _fetched(self, url: str, field: str, times: RequestTimes, max_bytes: int) -> bytes:
+        with _added(times) as own_times, own_times.stage("fetch"):
+            return await self._fetcher.fetch(url, field, max_bytes)
+
+    async def _labelled(
+        self,
+        parts: Mapping[str, Sequence[Part]],
+        image: _Image,
+        times: RequestTimes,
+        deadline: Deadline | None,
+    ) -> LabelledFrame:
+        try:
+            with _added(times) as own_times, SharedParts.of(parts, self._held) as shared:
+                return await self._labelling.label(
+                    shared, AnswerFormat.XTREME1, own_times, wait=True, deadline=deadline
+                )
+        except InputError as error:
+            raise _named_as_sent(error, image) from None
 
 
 def _id_of(data: object) -> int | str | None:

@@ -37,7 +37,7 @@ class RecognisedData(_Answer):
 
     id: int | str | None = Field(description="The id that it came with; null where it had none.")
     code: str = Field(description="OK, or the name of what went wrong, e.g. FETCH_FAILED.")
-    message: str = Field(description="Empty, or what went wrong and what to do about it.")
+    message: str = Field(description="Empty, doubts about the cameras' parameters, or what went wrong.")
     objects: tuple[RecognisedObject, ...] = Field(description="The boxes, the most confident first.")
 
 
@@ -101,10 +101,10 @@ REQUEST_BODY = {
 }
 
 
-def recognised(data_id: int | str | None, objects: Sequence[Xtreme1Object]) -> RecognisedData:
+def recognised(data_id: int | str | None, objects: Sequence[Xtreme1Object], message: str) -> RecognisedData:
     """The answer to one of the data."""
     found = tuple(RecognisedObject.model_validate(item) for item in objects)
-    return RecognisedData(id=data_id, code="OK", message="", objects=found)
+    return RecognisedData(id=data_id, code="OK", message=message, objects=found)
 
 
 def failed(data_id: int | str | None, error: InputError | ProblemError) -> RecognisedData:

@@ -23,6 +23,7 @@ Json = dict[str, Any]
 
 AHEAD = [[0.0, -1, 0, 0], [0.0, 0, -1, 0], [1.0, 0, 0, 0], [0.0, 0, 0, 1]]
 BESIDE = [[0.0, -1, 0, 0.5], *AHEAD[1:]]
+TILTED = [AHEAD[0], [-0.5, 0, -math.sqrt(0.75), 0], [math.sqrt(0.75), 0, -0.5, 0], AHEAD[3]]  # 30 degrees up
 INTERNAL = {"fx": 700, "fy": 700, "cx": 600, "cy": 180}
 CAR_PX = (540, 180, 660, 260)
 PATH = "/pointCloud/recognition"
@@ -56,6 +57,7 @@ def store(frame: SmallFrame) -> Iterator[FileServer]:
                 "/x1/camera_config/one.json": json.dumps([camera(AHEAD)]).encode(),
                 "/x1/camera_config/no_focus.json": json.dumps([camera(AHEAD, camera_internal={})]).encode(),
                 "/x1/camera_config/none.json": b"[null]",
+                "/x1/camera_config/tilted.json": json.dumps([camera(TILTED)]).encode(),
                 "/x1/garbage": b"no such file format",
                 "/x1/moved": answer(b"", 302, Location="/x1/lidar_point_cloud_0/01.pcd"),
                 "/secret": b"secret",
@@ -149,6 +151,12 @@ def test_images_of_cameras_without_parameters_are_skipped(
     (found,) = recognise(recogniser, data(store, (0, 2)))
     assert (found.code, len(found.objects)) == ("OK", 1)
     assert not any("camera_image_2" in path for path in store.paths[before:])
+
+
+def test_doubts_about_the_cameras_are_told(recogniser: RunningService, store: FileServer) -> None:
+    (found,) = recognise(recogniser, data(store, cameraConfigUrl=f"{store.url}/x1/camera_config/tilted.json"))
+    assert found.code == "OK"
+    assert found.message.startswith("Camera 0: The ground leans 30 degrees")
 
 
 def test_one_fails_and_the_others_do_not(recogniser: RunningService, store: FileServer) -> None:

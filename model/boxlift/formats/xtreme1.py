@@ -80,6 +80,13 @@ class Xtreme1Object(TypedDict):
     rotZ: float
 
 
+class Xtreme1Results(TypedDict):
+    """What is found with one camera: its objects, and doubts about its rig as sentences."""
+
+    objects: list[Xtreme1Object]
+    warnings: list[str]
+
+
 def parse_camera_config(
     data: bytes | str, field: str = "cameraConfig"
 ) -> tuple[ParsedCalibration | None, ...]:
@@ -100,10 +107,10 @@ def parse_camera_config(
     return tuple(_parse_camera(camera, f"{field}[{index}]") for index, camera in enumerate(cameras))
 
 
-def results_of(labels: FrameLabels, calibration: Calibration) -> list[Xtreme1Object]:
-    """The boxes of a frame as Xtreme1's objects, in the order of their prompts."""
+def results_of(labels: FrameLabels, calibration: Calibration) -> Xtreme1Results:
+    """The boxes of a frame as Xtreme1's objects, in the order of their prompts, and its warnings."""
     velo_R_cam = _rotation(calibration).T
-    results: list[Xtreme1Object] = []
+    objects: list[Xtreme1Object] = []
     for label in labels.objects:
         if label.box is None:
             continue
@@ -111,7 +118,7 @@ def results_of(labels: FrameLabels, calibration: Calibration) -> list[Xtreme1Obj
         x, y, z = (_rounded(axis) for axis in calibration.cam_to_velo(box.center_cam)[0])
         roll, pitch, yaw = (_rounded(angle) for angle in _euler(velo_R_cam @ _box_axes_cam(box)))
         category = label.prompt.category
-        results.append(
+        objects.append(
             Xtreme1Object(
                 label=CLASS_CODES.get(category, category.upper().replace(" ", "_")),
                 confidence=_rounded(label.score, _SCORE_DECIMALS),
@@ -126,22 +133,22 @@ def results_of(labels: FrameLabels, calibration: Calibration) -> list[Xtreme1Obj
                 rotZ=yaw,
             )
         )
-    return results
+    return Xtreme1Results(objects=objects, warnings=[warning.sentence for warning in labels.warnings])
 
 
-def boxes_of(results: Sequence[Xtreme1Object], calibration: Calibration) -> Boxes3D:
+def boxes_of(objects: Sequence[Xtreme1Object], calibration: Calibration) -> Boxes3D:
     """Objects of Xtreme1 -> boxes in the camera frame; what they lean against its horizontal is lost."""
-    center_velo = np.array([[item["x"], item["y"], item["z"]] for item in results]).reshape(-1, 3)
+    center_velo = np.array([[item["x"], item["y"], item["z"]] for item in objects]).reshape(-1, 3)
     cam_R_velo = _rotation(calibration)
     heading_cam = [
-        cam_R_velo @ _rotation_from_euler(item["rotX"], item["rotY"], item["rotZ"])[:, 0] for item in results
+        cam_R_velo @ _rotation_from_euler(item["rotX"], item["rotY"], item["rotZ"])[:, 0] for item in objects
     ]
     x, _, z = np.array(heading_cam).reshape(-1, 3).T
     return Boxes3D(
         center_cam=calibration.velo_to_cam(center_velo),
-        length_m=np.array([item["dx"] for item in results]),
-        width_m=np.array([item["dy"] for item in results]),
-        height_m=np.array([item["dz"] for item in results]),
+        length_m=np.array([item["dx"] for item in objects]),
+        width_m=np.array([item["dy"] for item in objects]),
+        height_m=np.array([item["dz"] for item in objects]),
         rotation_y=np.arctan2(-z, x),
     )
 
@@ -152,16 +159,16 @@ def merged(cameras: Sequence[Sequence[Xtreme1Object]]) -> list[Xtreme1Object]:
     Of objects of different cameras that share space the more confident stays, whatever its class. Objects of
     one camera stay as they are: its labels are told apart already.
     """
-    results = [item for camera in cameras for item in camera]
+    objects = [item for camera in cameras for item in camera]
     camera_of = np.repeat(np.arange(len(cameras)), [len(camera) for camera in cameras])
-    boxes = boxes_of(results, _LEVEL)
-    order = sorted(range(len(results)), key=lambda index: -results[index]["confidence"])
-    kept = np.zeros(len(results), np.bool_)
+    boxes = boxes_of(objects, _LEVEL)
+    order = sorted(range(len(objects)), key=lambda index: -objects[index]["confidence"])
+    kept = np.zeros(len(objects), np.bool_)
     for index in order:
         others = np.flatnonzero(kept & (camera_of != camera_of[index]))
         same = np.full(len(others), index)
         kept[index] = not (iou_3d(boxes[same], boxes[others]) > _SAME_BODY_IOU).any()
-    return [results[index] for index in order if kept[index]]
+    return [objects[index] for index in order if kept[index]]
 
 
 def _parse_camera(camera: object, where: str) -> ParsedCalibration | None:

@@ -24,6 +24,7 @@ from boxlift.formats.xtreme1 import (
     parse_camera_config,
     results_of,
 )
+from boxlift.frame import FrameWarning, RigDoubt
 
 # The camera looks along the LiDAR's x, 0.3 m before it and 0.1 m below.
 CAM_T_VELO: list[list[float]] = [[0.0, -1, 0, 0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]]
@@ -49,8 +50,12 @@ def box(center: tuple[float, float, float], rotation_y: float = 0.0, length_m: f
     )
 
 
+def objects_of(labels: FrameLabels, calibration: Calibration = LEVEL) -> list[Xtreme1Object]:
+    return results_of(labels, calibration)["objects"]
+
+
 def item(x: float, confidence: float, label: str = "CAR", **changes: float) -> Xtreme1Object:
-    found = results_of(labels_of(box((0.0, 1.0, 20.0), -math.pi / 2)), LEVEL)[0]
+    found = objects_of(labels_of(box((0.0, 1.0, 20.0), -math.pi / 2)))[0]
     return {**found, "label": label, "confidence": confidence, "x": x, **changes}  # type: ignore[typeddict-item]
 
 
@@ -69,7 +74,7 @@ def turned(angle_rad: float, axis: int) -> Floats:
 
 def test_by_hand() -> None:
     """20 m ahead of the camera, 2 m to its right, 1 m below it; it drives to the right and a bit away."""
-    (found,) = results_of(labels_of(box((2.0, 1.0, 20.0), rotation_y=-0.25)), LEVEL)
+    (found,) = objects_of(labels_of(box((2.0, 1.0, 20.0), rotation_y=-0.25)))
     assert found == {
         "label": "CAR",
         "confidence": 0.75,
@@ -91,14 +96,14 @@ def test_by_hand() -> None:
     [(-math.pi / 2, 0.0), (0.0, -math.pi / 2), (math.pi / 2 - 1e-9, -math.pi), (math.pi, math.pi / 2)],
 )
 def test_heading_is_measured_from_ahead_to_the_left(rotation_y: float, rot_z: float) -> None:
-    (found,) = results_of(labels_of(box((0.0, 1.0, 20.0), rotation_y)), LEVEL)
+    (found,) = objects_of(labels_of(box((0.0, 1.0, 20.0), rotation_y)))
     assert math.remainder(found["rotZ"] - rot_z, 2 * math.pi) == pytest.approx(0, abs=1e-6)
 
 
 def test_what_the_camera_leans_stays_in_the_box() -> None:
     """A camera that looks 0.1 rad down: a box ahead of it, level to it, leans 0.1 rad nose down."""
     leaning = Calibration(LEVEL.image_P_cam, turned(0.1, axis=0) @ CAM_T_VELO)
-    (found,) = results_of(labels_of(box((0.0, 0.0, 10.0), -math.pi / 2)), leaning)
+    (found,) = objects_of(labels_of(box((0.0, 0.0, 10.0), -math.pi / 2)), leaning)
     assert [found["rotX"], found["rotZ"]] == pytest.approx([0, 0])
     assert found["rotY"] == pytest.approx(0.1, abs=1e-6)
     assert found["z"] < -0.9
@@ -115,7 +120,7 @@ def test_there_and_back(
     turn = turned(tilts[0], 0) @ turned(tilts[1], 1) @ turned(tilts[2], 2)
     calibration = Calibration(LEVEL.image_P_cam, turn @ CAM_T_VELO)
     there = box(center, rotation_y)
-    back = boxes_of(results_of(labels_of(there), calibration), calibration)
+    back = boxes_of(objects_of(labels_of(there), calibration), calibration)
     np.testing.assert_allclose(back.center_cam, there.center_cam, atol=1e-6)
     assert (back.length_m[0], back.width_m[0], back.height_m[0]) == (4.0, 1.8, 1.5)
     away = math.remainder(back.rotation_y[0] - there.rotation_y[0], 2 * math.pi)
@@ -126,7 +131,7 @@ def test_corners_are_the_ones_that_the_tool_draws() -> None:
     """Unit cube, scaled, turned by Rx Ry Rz, moved: a corner of it is a corner of the fitted box."""
     calibration = Calibration(LEVEL.image_P_cam, turned(0.2, 0) @ turned(-0.1, 2) @ CAM_T_VELO)
     fitted = box((3.0, 1.2, 15.0), 0.7)
-    (found,) = results_of(labels_of(fitted), calibration)
+    (found,) = objects_of(labels_of(fitted), calibration)
     a, b, c = found["rotX"], found["rotY"], found["rotZ"]
     rotation = (turned(a, 0) @ turned(b, 1) @ turned(c, 2))[:3, :3]
     size = np.array([found["dx"], found["dy"], found["dz"]])
@@ -140,21 +145,27 @@ def test_boxes_on_end_are_turned_one_way() -> None:
     upended = Calibration(LEVEL.image_P_cam, np.eye(4)[[1, 0, 2, 3]] * [[1], [-1], [1], [1]])
     for rotation_y in (-2.0, 0.3):
         there = box((1.0, 2.0, 30.0), rotation_y)
-        found = results_of(labels_of(there), upended)
+        found = objects_of(labels_of(there), upended)
         assert [abs(found[0]["rotY"]), found[0]["rotZ"]] == pytest.approx([math.pi / 2, 0])
         assert boxes_of(found, upended).rotation_y[0] == pytest.approx(rotation_y, abs=1e-6)
 
 
 def test_classes() -> None:
     for category, code in [*CLASS_CODES.items(), ("Tram", "TRAM"), ("traffic cone", "TRAFFIC_CONE")]:
-        (found,) = results_of(labels_of(box((0, 1, 9)), category=category), LEVEL)
+        (found,) = objects_of(labels_of(box((0, 1, 9)), category=category))
         assert found["label"] == code
 
 
 def test_prompts_without_a_box_are_left_out() -> None:
     without = FrameLabels.without_boxes("frame", [Prompt("Car", (0, 0, 9, 9))], Result.NO_LIDAR)
-    assert results_of(without, LEVEL) == []
+    assert results_of(without, LEVEL) == {"objects": [], "warnings": []}
     assert len(boxes_of([], LEVEL)) == 0
+
+
+def test_doubts_about_the_rig_come_along() -> None:
+    doubt = FrameWarning(RigDoubt.TILTED, "The ground leans 30 degrees.")
+    labels = FrameLabels("frame", labels_of(box((0, 1, 9))).objects, (doubt,))
+    assert results_of(labels, LEVEL)["warnings"] == ["The ground leans 30 degrees."]
 
 
 def test_bodies_seen_by_two_cameras_are_told_once() -> None:
@@ -288,7 +299,7 @@ def test_real_calibrations(kitti_object_root: Path) -> None:
         found, _ = parsed.calibration.project(parsed.calibration.velo_to_cam(points_velo))
         np.testing.assert_allclose(found, expected, atol=1e-6)
         there = box((-3.0, 1.6, 25.0), 1.2)
-        results = results_of(labels_of(there), parsed.calibration)
+        results = objects_of(labels_of(there), parsed.calibration)
         assert abs(results[0]["rotX"]) < 0.03
         assert abs(results[0]["rotY"]) < 0.03
         back = boxes_of(results, parsed.calibration)
