@@ -8,7 +8,7 @@ A real service on loopback is kept busy with all routes mixed (as in load.py, fr
     stop     a worker is stopped (SIGSTOP), idle and busy
     vanish   clients end or reset the connection in their upload, and while they wait for the answer
     slow     200 uploads at once stall or bring a byte now and then; they are to end with 408
-    reload   SIGHUP: every worker is replaced
+    reload   SIGHUP: the workers with the models are replaced
     disk     every temporary folder fills up (file systems of the service's own; needs mount rights)
     end      SIGTERM: what was accepted is answered, then all processes end
 
@@ -76,13 +76,18 @@ async def on_one_service(stage: Stage, faults: Iterable[Fault], accounts: list[A
         accounts.append(account)
 
 
-def run_faults(only: Collection[str], extent: Extent, settings: Mapping[str, str]) -> list[Account]:
+def run_faults(
+    only: Collection[str], extent: Extent, settings: Mapping[str, str], log: Path | None
+) -> list[Account]:
     """The accounts of all faults that are wanted."""
     accounts: list[Account] = []
     chosen = frames(None, 3)
 
     def on(service: Service, *faults: Fault) -> None:
         asyncio.run(on_one_service(Stage(service, prepare(service.url, chosen)), faults, accounts))
+        if log is not None:
+            with log.open("ab") as stream:
+                stream.write(service.log.read_bytes())
 
     if set(only) & set(ON_ONE_SERVICE):
         with running_boxlift(settings) as service:
@@ -127,6 +132,7 @@ def main() -> None:
     parser.add_argument("--kills", type=int)
     parser.add_argument("--short", action="store_true", help="each fault once or twice")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--log", type=Path, help="file to which the services' logs are added")
     parser.add_argument("--set", action="append", default=[], metavar="SETTING=VALUE")
     arguments = parser.parse_args()
     only = arguments.only.split(",")
@@ -139,7 +145,7 @@ def main() -> None:
     told = circumstances(settings)
     print_circumstances(told)
     print(HEADER, flush=True)
-    accounts = run_faults(only, extent, settings)
+    accounts = run_faults(only, extent, settings, arguments.log)
     write_json(arguments.json, {**told, "faults": [account.told() for account in accounts]})
     sys.exit(1 if any(account.wrong for account in accounts) else 0)
 

@@ -105,8 +105,11 @@ async def end(stage: Stage) -> Account:
     in_time = [one for one in run.outcomes if one.due_s < drained_s or one.verdict in (OK, REFUSED)]
     account.answers = Counter(one.verdict for one in in_time)
     account.notes.append(f"{len(run.outcomes) - len(in_time)} requests came too late")
-    if service.process.returncode != 0:
+    # A process that has done all that SIGTERM asks for may end by it.
+    if service.process.returncode not in (0, -signal.SIGTERM):
         account.wrong.append(f"it ended with {service.process.returncode}")
-    if remaining := sum(Path(f"/proc/{pid}").exists() for pid in family):
-        account.left = {"processes": remaining}
+    end_s = time.monotonic() + _ENDS_WITHIN_S
+    while (alive := sum(Path(f"/proc/{pid}").exists() for pid in family)) and time.monotonic() < end_s:
+        await asyncio.sleep(0.1)
+    account.left = {"processes": alive} if alive else {}
     return account

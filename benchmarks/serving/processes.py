@@ -29,7 +29,11 @@ class Process:
 
 @dataclass(frozen=True)
 class Level:
-    """What a service holds besides memory. shared: pieces of anonymous shared memory (memfd)."""
+    """What a service holds besides memory.
+
+    shared: pieces of anonymous shared memory (memfd). files_in_dev_shm: all but those that processes beside
+    the service have mapped.
+    """
 
     processes: int
     zombies: int
@@ -70,7 +74,7 @@ def level(server: int) -> Level:
         zombies=sum(one.is_zombie for one in members),
         descriptors=sum(len(_entries(Path(f"/proc/{one.pid}/fd"))) for one in members),
         shared=len({inode for one in members for inode in _shared_memory(one.pid)}),
-        files_in_dev_shm=len(_entries(Path("/dev/shm"))),
+        files_in_dev_shm=_files_in_dev_shm({one.pid for one in members}),
     )
 
 
@@ -123,6 +127,15 @@ def _shared_memory(pid: int) -> set[str]:
         except OSError:  # it has just been closed
             continue
     return mapped | held
+
+
+def _files_in_dev_shm(members: set[int]) -> int:
+    files = {str(path) for path in _entries(Path("/dev/shm"))}
+    if files:
+        others = (one.pid for one in _everyone() if one.pid not in members)
+        maps = (line for pid in others for line in _text(Path(f"/proc/{pid}/maps")).splitlines())
+        files -= {line.split(maxsplit=5)[5] for line in maps if "/dev/shm/" in line}
+    return len(files)
 
 
 def _bytes_of(path: Path, name: str) -> int:

@@ -118,14 +118,18 @@ class Stage:
         except (LostError, TimeoutError):
             return False
 
-    async def recovered(self, account: Account, roles: Mapping[str, tuple[set[int], int]]) -> bool:
+    async def recovered(
+        self, account: Account, roles: Mapping[str, tuple[set[int], int]], *, stays_ready: bool = False
+    ) -> bool:
         """Wait until, for each role, all of some processes are gone and a number of others is there, and the
-        service says that it is ready; note the time. False where it does not come to that.
+        service says that it is ready; note the time. False where it does not come to that, or where the
+        service was to stay ready and did not.
         """
         start = time.monotonic()
-        while not await self._is_whole(roles):
-            if time.monotonic() - start > _GIVEN_UP_AFTER_S or self.service.process.poll() is not None:
-                account.wrong.append("it did not recover")
+        while not ((ready := await self.is_ready()) and await self._is_whole(roles)):
+            late = time.monotonic() - start > _GIVEN_UP_AFTER_S
+            if late or self.service.process.poll() is not None or (stays_ready and not ready):
+                account.wrong.append("it was not ready meanwhile" if stays_ready else "it did not recover")
                 return False
             await asyncio.sleep(_LOOKS_EVERY_S)
         account.recoveries_s.append(time.monotonic() - start)
@@ -142,8 +146,6 @@ class Stage:
         return left
 
     async def _is_whole(self, roles: Mapping[str, tuple[set[int], int]]) -> bool:
-        if not await self.is_ready():
-            return False
         for role, (gone, count) in roles.items():
             there = await self.workers(role)
             if there & gone or len(there) < count:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from serving.connection import Connection, LostError
 from serving.load_loops import OK
-from serving.processes import DETECT, LABEL
+from serving.processes import DETECT
 from serving.stage import Account, Stage, answer_or_end
 
 
@@ -173,19 +173,21 @@ async def _drip(connection: Connection, data: bytes) -> None:
 
 
 async def reload(stage: Stage, times: int) -> Account:
-    """SIGHUP under load: the workers are to be replaced, and no request is to notice."""
+    """SIGHUP under load: the workers with the models are replaced; no request notices, nor does /readyz."""
     account = Account("SIGHUP: reload")
 
     async def strike(_: Account) -> None:
         for _turn in range(times):
-            before = {role: await stage.workers(role) for role in (LABEL, DETECT)}
+            there = await stage.workers(DETECT)
             os.kill(stage.service.pid, signal.SIGHUP)
             account.times += 1
-            whole = {role: (pids, len(pids)) for role, pids in before.items()}
-            if not await stage.recovered(account, whole):
+            if not await stage.recovered(account, {DETECT: (there, len(there))}, stays_ready=True):
                 return
 
     await stage.under_load(account, strike)
+    if account.recoveries_s:
+        account.notes.append(f"replaced after {max(account.recoveries_s):.1f} s at most, ready all the time")
+        account.recoveries_s.clear()
     if account.answers.total() != account.answers[OK]:
         account.wrong.append("not every request beside a reload was answered with 200")
     return account
