@@ -62,7 +62,11 @@ def create_app(
     tracing = start_tracing() if settings.tracing else None
     sizes = read_size_priors(settings.priors) if settings.priors else {}
     presets = {name: preset.with_sizes(sizes) for name, preset in PRESETS.items()}
-    held = HeldBytes(settings.max_held_bytes)
+
+    def on_refused(reason: str) -> None:
+        metrics.count_refused("http", reason)
+
+    held = HeldBytes(settings.max_held_bytes, lambda: on_refused("held_bytes"))
     detection = Detection(settings, presets, metrics)
     detection.check_given_models()
     labellers = _label_pool(settings, presets, metrics)
@@ -107,9 +111,6 @@ def create_app(
     app.add_exception_handler(ProblemError, on_problem)
     app.add_exception_handler(InputError, on_input_error)
     app.add_exception_handler(HTTPException, on_http_exception)
-
-    def on_refused(reason: str) -> None:
-        metrics.count_refused("http", reason)
 
     # What is added last lies outermost.
     if keys is not None:

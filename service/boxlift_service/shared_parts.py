@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -49,8 +49,9 @@ class PartsIndex:
 class HeldBytes:
     """Counts the bytes of all requests that are held, and refuses what goes beyond the limit."""
 
-    def __init__(self, limit: int) -> None:
+    def __init__(self, limit: int, on_refused: Callable[[], None] = lambda: None) -> None:
         self._limit = limit
+        self._on_refused = on_refused
         self.taken = 0
 
     def has_room(self, count: int) -> bool:
@@ -60,6 +61,7 @@ class HeldBytes:
     def take(self, count: int) -> None:
         """Raises ProblemError (429) where there is no room for `count` more."""
         if not self.has_room(count):
+            self._on_refused()
             raise ProblemError(
                 Kind.TOO_BUSY,
                 f"The bodies of other requests take up the {self._limit} bytes that are held at a time.",
