@@ -12,6 +12,8 @@ from ipaddress import ip_address
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from boxlift.errors import OptionsError
 from boxlift_service.fetching import Fetcher
@@ -113,6 +115,19 @@ def test_whatever_is_outside_is_refused_unasked(server: FileServer, url: str) ->
     assert "BOXLIFT_FETCH_FROM" in refused.remedy
     assert len(refused.problem) < 500
     assert len(server.asked) == before
+
+
+@given(st.text(), st.sampled_from(["", "http://files.example/", "http://files.example/a/", "http://"]))
+def test_any_text_is_refused_or_below_the_prefix(text: str, before: str) -> None:
+    """Nothing but a host of the list is ever looked up."""
+    asked: list[str] = []
+
+    async def resolve(host: str, _: int) -> list[Address]:
+        asked.append(host)
+        raise OSError("no such host")
+
+    problem(fetcher("http://files.example/a/", resolve=resolve), before + text)
+    assert set(asked) <= {"files.example"}
 
 
 def test_without_prefixes_nothing_is_fetched(server: FileServer) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import threading
 from collections.abc import Iterator
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -73,6 +75,7 @@ def recogniser(store: FileServer, tmp_path_factory: pytest.TempPathFactory) -> I
         detector=str(detector),
         fetch_from=f"https://elsewhere.example/, {store.url}/x1/",
         fetch_private="true",
+        fetch_limit_s="60",
         max_images="3",
     ) as running:
         yield running
@@ -213,6 +216,25 @@ def test_data_that_are_none(recogniser: RunningService, store: FileServer, given
     bad, good = recognise(recogniser, given, data(store))
     assert (bad.id, bad.code) == (None, "INVALID_FIELD")
     assert good.code == "OK"
+
+
+def test_clients_that_leave_give_their_places_back(recogniser: RunningService, store: FileServer) -> None:
+    """Two sweeps are fetched at a time, from a server that never answers, for clients that do not wait."""
+    released = threading.Event()
+    store.files["/x1/stalls"] = lambda _: void(released.wait(60))
+    stalling = {"datas": [data(store, pointCloudUrl=f"{store.url}/x1/stalls")]}
+    try:
+        for _ in range(3):
+            with pytest.raises(httpx.ReadTimeout):
+                recogniser.client.post(PATH, json=stalling, timeout=1)
+        response = recogniser.client.post(PATH, json={"datas": [data(store)]}, timeout=20)
+    finally:
+        released.set()
+    assert response.json()["data"][0]["code"] == "OK"
+
+
+def void(_: object) -> None:
+    """Whatever it was, nobody wants it."""
 
 
 def test_no_data(recogniser: RunningService) -> None:
