@@ -1,6 +1,6 @@
 #!/bin/sh
-# Install the Debian packages that boxlift's wheels need, or say in one line what to run.
-# Usage: system-libraries.sh [PYTHON]. Shared by `make setup` and the Dockerfile.
+# Install the Debian packages that boxlift's wheels need, or say in one line what to run, for `make setup`.
+# The Dockerfile installs the same libraries. Usage: system-libraries.sh [PYTHON]
 set -eu
 python=${1:-python3}
 
