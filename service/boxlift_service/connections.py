@@ -23,6 +23,9 @@ HEADERS_LIMIT_S = 15.0  # Longest time for headers; settings.receive_limit_s whe
 _REFUSED_LINGER_S = 1.0
 _MOST_LINGERING = 100
 
+_BACKLOG = 2048  # uvicorn's
+_OTHER_FILES = 256
+
 _log = logging.getLogger("boxlift_service")
 
 
@@ -53,8 +56,9 @@ def protocol_class(settings: ServiceSettings, connections: Connections) -> type[
 
 def allow_open_files(settings: ServiceSettings) -> None:
     """Raise this process's limit of open files so that all connections fit, as far as the system lets it."""
-    # Besides its socket, a request that comes in has its shared memory.
-    wanted = 2 * settings.max_connections + _MOST_LINGERING + 256
+    # Besides its socket, a request that comes in has its shared memory. A burst of connections is accepted
+    # before the first of them is refused.
+    wanted = 2 * settings.max_connections + _BACKLOG + _OTHER_FILES
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard != resource.RLIM_INFINITY and hard < wanted:
         _log.warning(
@@ -175,10 +179,10 @@ class _Refusal(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
-        self._connections.lingering += 1
-        if self._connections.lingering > _MOST_LINGERING:
+        if self._connections.lingering == _MOST_LINGERING:
             transport.abort()
             return
+        self._connections.lingering += 1
         problem = ProblemError(
             Kind.TOO_BUSY,
             f"{self._connections.limit} connections are open, the most that there may be.",
@@ -190,9 +194,9 @@ class _Refusal(asyncio.Protocol):
         self._timer = asyncio.get_running_loop().call_later(_REFUSED_LINGER_S, transport.abort)
 
     def connection_lost(self, _: Exception | None) -> None:
-        self._connections.lingering -= 1
         if self._timer is not None:
             self._timer.cancel()
+            self._connections.lingering -= 1
 
 
 def _whole_answer(problem: ProblemError) -> bytes:
