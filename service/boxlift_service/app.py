@@ -19,6 +19,7 @@ from boxlift_service.answer_examples import with_answer_examples
 from boxlift_service.answers import API_VERSION
 from boxlift_service.api_keys import ApiKeys
 from boxlift_service.auth import AuthMiddleware, check_exposure
+from boxlift_service.batch import BatchService
 from boxlift_service.body_limit import BodyLimitMiddleware
 from boxlift_service.detection import Detection
 from boxlift_service.label_worker import LabelWorker, open_label_worker
@@ -32,7 +33,7 @@ from boxlift_service.problems import ProblemError, on_http_exception, on_input_e
 from boxlift_service.routes.detect import detect_routes
 from boxlift_service.routes.health import health_routes
 from boxlift_service.routes.label import label_routes
-from boxlift_service.routes.label_batch import BatchService, label_batch_routes
+from boxlift_service.routes.label_batch import label_batch_routes
 from boxlift_service.routes.metrics import metrics_routes
 from boxlift_service.routes.models import models_routes
 from boxlift_service.routes.recognition import recognition_routes

@@ -233,6 +233,8 @@ def _work(
     """In the worker: open, then answer until the pipe closes."""
     with suppress(OSError):  # what ps and top show, on Linux
         Path("/proc/self/comm").write_text(name)
+        # Where memory runs out, the kernel ends a worker, which is replaced, and not the server.
+        Path("/proc/self/oom_score_adj").write_text("500")
     # Ctrl-C and the signals of a service manager reach the whole group; the parent finishes its requests.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)

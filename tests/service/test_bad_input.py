@@ -87,7 +87,7 @@ BAD_FIELDS: dict[str, tuple[dict[str, bytes | None], str, str]] = {
     ),
     "text file as image": ({"image": b"this is no image"}, "image", "no PNG or JPEG"),
     "image bomb": ({"image": png_bomb(5000)}, "image", "5000 x 5000"),
-    "image bomb of gigapixels": ({"image": png_bomb(50_000)}, "image", "2500000000 pixels"),
+    "image bomb of gigapixels": ({"image": png_bomb(50_000)}, "image", "50000 x 50000 pixels"),
     "mask bomb": ({"masks": png_bomb(5000)}, "masks", "5000 x 5000"),
     "masks of the wrong size": ({"masks": mask_png(0, 0, 9, 9, size=(90, 80))}, "masks", "90 x 80"),
     "masks of three channels": ({"masks": png(np.zeros((9, 9, 3), np.uint8))}, "masks", "RGB"),
@@ -233,7 +233,7 @@ def raw_request(service: RunningService, request: bytes) -> bytes:
 
 def test_a_gigabyte_that_is_announced_is_refused_before_it_is_sent(service: RunningService) -> None:
     head = (
-        b"POST /label HTTP/1.1\r\nHost: x\r\nContent-Type: multipart/form-data; boundary=line\r\n"
+        b"POST /label HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; boundary=line\r\n"
         b"Content-Length: 1073741824\r\nExpect: 100-continue\r\n\r\n"
     )
     assert raw_request(service, head).startswith(b"HTTP/1.1 413 ")
@@ -241,7 +241,7 @@ def test_a_gigabyte_that_is_announced_is_refused_before_it_is_sent(service: Runn
 
 def test_an_unknown_field_is_refused_before_the_rest_is_sent(service: RunningService) -> None:
     head = (
-        b"POST /label HTTP/1.1\r\nHost: x\r\nContent-Type: multipart/form-data; boundary=line\r\n"
+        b"POST /label HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; boundary=line\r\n"
         b"Content-Length: 1000000\r\n\r\n"
         b'--line\r\nContent-Disposition: form-data; name="pionts"\r\n\r\n'
     )
@@ -249,7 +249,7 @@ def test_an_unknown_field_is_refused_before_the_rest_is_sent(service: RunningSer
 
 
 def test_a_client_that_vanishes_while_it_sends(service: RunningService) -> None:
-    head = b"POST /label HTTP/1.1\r\nHost: x\r\nContent-Length: 1000000\r\n"
+    head = b"POST /label HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1000000\r\n"
     address = urlsplit(service.url)
     assert address.hostname is not None
     for _ in range(5):
