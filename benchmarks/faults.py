@@ -43,11 +43,13 @@ FAULTS = (*ON_ONE_SERVICE, "disk", "end")
 # Slow uploads shall end soon; all else is as the service comes.
 _SETTINGS = {"receive_idle_s": "3", "receive_limit_s": "12"}
 
+_WARM_UP_S = 3.0
+
 Fault = Callable[[Stage], Awaitable[Account]]
 
 
-def chosen_faults(only: Collection[str], extent: Extent) -> Iterator[Fault]:
-    """Those of ON_ONE_SERVICE that are wanted, the one that ends an older service last."""
+def chosen_faults(only: Collection[str], extent: Extent, settings: Mapping[str, str]) -> Iterator[Fault]:
+    """Those of ON_ONE_SERVICE that are wanted."""
     roles = (LABEL, DETECT)
     if "kill" in only:
         yield from (partial(strikes.kill, role=role, times=extent.kills) for role in roles)
@@ -58,14 +60,14 @@ def chosen_faults(only: Collection[str], extent: Extent) -> Iterator[Fault]:
         yield partial(strikes.vanish_in_upload, times=extent.vanishing)
         yield partial(strikes.vanish_in_answer, times=extent.vanishing)
     if "slow" in only:
-        yield partial(strikes.slow_uploads, how_many=extent.slow, end_s=float(_SETTINGS["receive_limit_s"]))
+        yield partial(strikes.slow_uploads, how_many=extent.slow, end_s=float(settings["receive_limit_s"]))
     if "reload" in only:
         yield partial(strikes.reload, times=extent.reloads)
 
 
 async def on_one_service(stage: Stage, faults: Iterable[Fault], accounts: list[Account]) -> None:
     """One fault after the other, as long as the service lives."""
-    await stage.warm_up(4.0)
+    await stage.warm_up(_WARM_UP_S)
     for fault in faults:
         if stage.service.process.poll() is not None:
             accounts[-1].wrong.append(f"the service ended with {stage.service.process.returncode}")
@@ -91,7 +93,7 @@ def run_faults(
 
     if set(only) & set(ON_ONE_SERVICE):
         with running_boxlift(settings) as service:
-            on(service, *chosen_faults(only, extent))
+            on(service, *chosen_faults(only, extent, settings))
     if "disk" in only:
         try:
             with endings.service_with_small_disks(settings) as (service, places):

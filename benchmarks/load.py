@@ -56,9 +56,9 @@ class Plan:
     round: float = 20
 
     @classmethod
-    def short(cls) -> Plan:
-        """Half a minute in all, for a first impression."""
-        return cls(warm_up=1, closed=3, wrk=0, below=4, rounds=1, round=4)
+    def short(cls, seconds: float) -> Plan:
+        """So many for every step, for a first impression."""
+        return cls(warm_up=seconds, closed=seconds, wrk=0, below=seconds, rounds=1, round=seconds)
 
 
 @dataclass
@@ -183,12 +183,12 @@ def main() -> None:
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--frames", type=int, default=4)
     parser.add_argument("--soak", type=float, default=0, metavar="SECONDS")
-    parser.add_argument("--short", action="store_true")
+    parser.add_argument("--short", type=float, nargs="?", const=3.5, metavar="SECONDS", help="of each step")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--set", action="append", default=[], metavar="SETTING=VALUE")
     arguments = parser.parse_args()
     settings = dict(one.split("=", 1) for one in arguments.set)
-    plan = Plan.short() if arguments.short else Plan()
+    plan = Plan() if arguments.short is None else Plan.short(arguments.short)
     findings = Findings(circumstances(settings))
     print_circumstances(findings.told)
     chosen = frames(arguments.folder, arguments.frames)

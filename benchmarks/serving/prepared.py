@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count, islice
+from itertools import count, cycle, islice
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -75,14 +75,14 @@ def form_request(url: str, kind: str, path: str, form: Any) -> Prepared:
     return Prepared(kind, f"POST {path} HTTP/1.1\r\n{lines}\r\n".encode() + body)
 
 
-def mixed(
-    made: Mapping[str, Sequence[Prepared]], seed: int = 0, mix: Mapping[str, float] = MIX
-) -> Iterator[Prepared]:
-    """Requests without end, kinds drawn by `mix`."""
+def mixed(made: Mapping[str, Sequence[Prepared]], seed: int = 0) -> Iterator[Prepared]:
+    """Requests without end: every five have the shares of MIX, in an order that is drawn."""
     draw = random.Random(seed)
+    streams = {kind: cycle(requests) for kind, requests in made.items()}
     while True:
-        (kind,) = draw.choices(list(mix), list(mix.values()))
-        yield draw.choice(made[kind])
+        five = [kind for kind, share in MIX.items() for _ in range(round(5 * share))]
+        draw.shuffle(five)
+        yield from (next(streams[kind]) for kind in five)
 
 
 def _on_disk(folder: Path) -> Iterator[Frame]:
