@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 from typing import Any
 
 from boxlift.errors import MissingExtraError
@@ -23,6 +24,8 @@ def open3d() -> Any:  # Open3D ships no types.
 
 def onnxruntime() -> Any:  # ONNX Runtime ships no types.
     """The onnxruntime module. Raises MissingExtraError."""
+    # Its Linux wheels write to the home folder, and send what they see, unless they are told not to.
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     return _module("onnxruntime", "detect")
 
 

@@ -78,7 +78,11 @@ class ServiceSettings(BaseModel):
         15.0, gt=0, le=3600, description="A body that brings nothing for this long is refused with 408."
     )
     receive_limit_s: float = Field(
-        120.0, gt=0, le=86_400, description="Longest time for headers, and for a body to come in."
+        120.0,
+        gt=0,
+        le=86_400,
+        description="Longest time for a body to come in, and for a client to take nothing of its answer; headers have 15 s "
+        "at most.",
     )
     max_connections: int = Field(1000, ge=1, description="Most connections that are open at a time.")
     drain_s: float = Field(
@@ -95,7 +99,9 @@ class ServiceSettings(BaseModel):
         description="Listen beyond loopback without API keys, e.g. behind a proxy that asks for its own.",
     )
     requests_per_minute: int = Field(
-        0, ge=0, description="Most requests of a key in a minute, where its line names none; 0: no limit."
+        0,
+        ge=0,
+        description="Requests of a key in a minute, where its line names none: as many at once, then evenly; 0: no limit.",
     )
     open_metrics: bool = Field(False, description="Serve /metrics without a key.")
     allowed_origins: tuple[str, ...] = Field(

@@ -18,6 +18,7 @@ from boxlift_client.cli.demo import demo
 from boxlift_client.cli.detect import detect
 from boxlift_client.cli.evaluate import evaluate
 from boxlift_client.cli.export import export
+from boxlift_client.cli.keys import keys
 from boxlift_client.cli.label import label
 from boxlift_client.cli.serve import serve
 from boxlift_client.cli.show import show
@@ -35,6 +36,7 @@ app = typer.Typer(
 )
 for command in (demo, serve, label, detect, evaluate, show, train, export):
     app.command()(command)
+app.add_typer(keys, name="keys")
 
 
 def _print_version(wanted: bool) -> None:
