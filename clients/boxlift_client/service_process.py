@@ -1,4 +1,4 @@
-"""The service, started from here: the only module of the client, besides the command `keys`, that knows its package."""
+"""The service, started from here: besides the command `keys`, the only module that knows its package."""
 
 from __future__ import annotations
 

@@ -81,8 +81,8 @@ class ServiceSettings(BaseModel):
         120.0,
         gt=0,
         le=86_400,
-        description="Longest time for a body to come in, and for a client to take nothing of its answer; headers have 15 s "
-        "at most.",
+        description="Longest time for a body to come in, and for a client to take nothing of its answer; "
+        "headers have 15 s at most.",
     )
     max_connections: int = Field(1000, ge=1, description="Most connections that are open at a time.")
     drain_s: float = Field(
@@ -101,7 +101,8 @@ class ServiceSettings(BaseModel):
     requests_per_minute: int = Field(
         0,
         ge=0,
-        description="Requests of a key in a minute, where its line names none: as many at once, then evenly; 0: no limit.",
+        description="Requests of a key in a minute, where its line names none: as many at once, then evenly; "
+        "0: no limit.",
     )
     open_metrics: bool = Field(False, description="Serve /metrics without a key.")
     allowed_origins: tuple[str, ...] = Field(
