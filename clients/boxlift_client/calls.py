@@ -111,11 +111,13 @@ class Calls:
         while True:
             try:
                 yield from exchange(self.url, Request("GET", "/readyz"))
-                return
+                break
             except ServiceFailedError:
                 if monotonic() > until:
                     raise
             yield Pause(0.1)
+        # A probe needs no key; this does.
+        yield from exchange(self.url, Request("GET", "/models"), self._patience_s)
 
     def pack(self, index: int, frame: Frame | FrameFiles, settings: LabellerSettings, detect: bool) -> Item:
         """A frame of a batch as it is sent, or its outcome where it cannot be."""

@@ -159,7 +159,7 @@ class Client:
         """Return once the service can label; it may be warming up.
 
         Raises ServiceUnreachableError at once where nobody answers, ServiceFailedError where it is not
-        ready in time.
+        ready in time, NotAuthorizedError where it does not know the API key.
         """
         self._take(self._calls.wait_until_ready(timeout_s))
 

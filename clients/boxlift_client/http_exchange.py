@@ -31,6 +31,7 @@ _BROKEN_CONNECTION = (httpx.RemoteProtocolError, httpx.ReadError, httpx.WriteErr
 _LATER = (429, 503)
 # Clients that were sent away together shall not come back together.
 _JITTER = 0.5
+_SHORTEST_PAUSE_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ def exchange(url: str, request: Request, patience_s: float = 0.0) -> Steps[bytes
 
 def jittered(seconds: float) -> float:
     """A little longer, by chance."""
-    return seconds * random.uniform(1.0, 1.0 + _JITTER)
+    return max(seconds, _SHORTEST_PAUSE_S) * random.uniform(1.0, 1.0 + _JITTER)
 
 
 def _retry_after_s(response: httpx.Response) -> float | None:

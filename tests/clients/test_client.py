@@ -4,22 +4,38 @@ import json
 import socket
 from pathlib import Path
 
+import msgpack
 import pytest
 
 from boxlift.datasets import load_prompts, open_source
-from boxlift.errors import InputError
+from boxlift.errors import InputError, OptionsError
 from boxlift.formats import details
 from boxlift.frame import Prompt
 from boxlift.labeller import Labeller
 from boxlift.settings import PAPER, RELEASE, LabellerSettings
 from boxlift_client.client import Client
 from boxlift_client.errors import (
+    NotAuthorizedError,
     RequestRefusedError,
+    ServiceBusyError,
     ServiceFailedError,
     ServiceUnreachableError,
     UnexpectedAnswerError,
 )
 from boxlift_client.label_answer import problem_error, read_label_answer
+from boxlift_service.api_keys import ApiKeys, add_key, new_key
+from boxlift_service.auth import AuthMiddleware
+from boxlift_service.settings import ServiceSettings
+from clients.scripted import Ask, Script, Scripted, label_answer, scripted, with_both_clients
+from service.served import served
+
+LABELLED = Scripted(content=json.dumps(label_answer()).encode())
+PROBLEM = json.dumps({"type": "urn:x", "title": "T", "status": 429, "detail": "Later."}).encode()
+
+
+def busy(status: int = 429, retry_after: str | None = "0") -> Scripted:
+    headers = {} if retry_after is None else {"retry-after": retry_after}
+    return Scripted(status, PROBLEM, headers)
 
 
 @pytest.fixture
@@ -101,6 +117,99 @@ def test_health(service_url: str, unused_url: str) -> None:
 def test_what_is_no_url(url: str) -> None:
     with pytest.raises(ServiceUnreachableError), Client(url) as client:
         client.wait_until_ready()
+
+
+def test_both_encodings_get_the_same_labels(dataset: Path, service_url: str) -> None:
+    source = open_source(dataset)
+    frame = source.load("000000", load_prompts("label_2", source, "000000"))
+    with Client(service_url) as client, Client(service_url, encoding="multipart") as by_form:
+        assert client.label(frame, RELEASE) == by_form.label(frame, RELEASE)
+
+
+def test_an_encoding_is_what_is_sent() -> None:
+    with scripted(LABELLED) as script, Client(script.url) as client:
+        client.label_files(b"points", b"calib", name="a")
+        with Client(script.url, encoding="multipart") as by_form:
+            by_form.label_files(b"points", b"calib", name="a")
+    packed, form = script.asked
+    assert (packed.path, packed.headers["content-type"]) == ("/label", "application/msgpack")
+    fields = {"name": b"a", "points": b"points", "calib": b"calib", "points_filename": "points"}
+    assert msgpack.unpackb(packed.body) == fields
+    assert form.headers["content-type"].startswith("multipart/form-data; boundary=")
+
+
+@with_both_clients
+def test_the_key_and_the_timeout_are_sent(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("BOXLIFT_API_KEY", raising=False)
+    with scripted(LABELLED) as script:
+        ask(script.url, "label_files", b"", b"")
+        monkeypatch.setenv("BOXLIFT_API_KEY", "from-environment")
+        ask(script.url, "label_files", b"", b"")
+        ask(script.url, "label_files", b"", b"", client={"api_key": "given", "timeout_s": 7.5})
+        ask(script.url, "health", client={"api_key": ""})
+    keys = [asked.headers.get("authorization") for asked in script.asked]
+    assert keys == [None, "Bearer from-environment", "Bearer given", None]
+    assert [asked.headers["x-request-timeout"] for asked in script.asked] == ["120", "120", "7.5", "120"]
+
+
+def test_what_is_no_key_is_not_shown() -> None:
+    with pytest.raises(OptionsError, match="BOXLIFT_API_KEY") as refused:
+        Client("http://127.0.0.1:9", api_key="secret\n")
+    assert "secret" not in str(refused.value)
+
+
+@with_both_clients
+def test_a_service_that_asks_for_keys(ask: Ask, tmp_path: Path) -> None:
+    secret, key = new_key("studio")
+    add_key(tmp_path / "keys", key)
+    settings = ServiceSettings(api_keys=tmp_path / "keys")
+    app = AuthMiddleware(Script("", [LABELLED]), ApiKeys(tmp_path / "keys"), settings, lambda _: None)
+    with served(app) as server:
+        assert ask(server.url, "label_files", b"", b"", client={"api_key": secret}).frame == "a"
+        for wrong in ("", "boxlift_wrong"):
+            with pytest.raises(NotAuthorizedError) as refused:
+                ask(server.url, "label_files", b"", b"", client={"api_key": wrong})
+            assert refused.value.problem.status == 401
+
+
+@with_both_clients
+def test_a_busy_service_is_asked_again(ask: Ask) -> None:
+    with scripted(busy(), busy(503), LABELLED) as script:
+        assert ask(script.url, "label_files", b"", b"").frame == "a"
+    assert len(script.asked) == 3
+    assert script.asked[0].body == script.asked[2].body
+
+
+@pytest.mark.parametrize(
+    ("refusal", "patience_s", "error_type"),
+    [
+        (busy(), 0, ServiceBusyError),
+        (busy(retry_after="3600"), 60, ServiceBusyError),
+        (busy(retry_after=None), 60, ServiceBusyError),
+        (busy(retry_after="Wed, 21 Oct 2026 07:28:00 GMT"), 60, ServiceBusyError),
+        (busy(503, retry_after=None), 60, ServiceFailedError),
+        (busy(500), 60, ServiceFailedError),
+        (busy(408), 60, RequestRefusedError),
+    ],
+)
+@with_both_clients
+def test_patience_has_bounds(
+    ask: Ask, refusal: Scripted, patience_s: float, error_type: type[Exception]
+) -> None:
+    with scripted(refusal) as script, pytest.raises(error_type, match=r"Later\. \(status"):
+        ask(script.url, "label_files", b"", b"", client={"patience_s": patience_s})
+    assert len(script.asked) == 1
+
+
+@with_both_clients
+def test_a_connection_that_breaks_is_made_again_once(ask: Ask) -> None:
+    cut = Scripted(content=b"{", is_cut=True)
+    with scripted(cut, LABELLED) as script:
+        assert ask(script.url, "label_files", b"", b"").frame == "a"
+    with scripted(cut) as script:
+        with pytest.raises(ServiceUnreachableError):
+            ask(script.url, "label_files", b"", b"")
+        assert len(script.asked) == 2
 
 
 def test_problems_become_exceptions() -> None:

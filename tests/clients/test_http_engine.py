@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import shutil
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -9,7 +11,14 @@ from boxlift.settings import RELEASE
 from boxlift_client import LabelJob, Outcome, label_dataset
 from boxlift_client.engines.http import HttpEngine
 from boxlift_client.engines.local import LocalEngine
-from boxlift_client.errors import ServiceUnreachableError
+from boxlift_client.errors import NotAuthorizedError, ServiceUnreachableError
+from boxlift_service.api_keys import ApiKeys, add_key, new_key
+from boxlift_service.auth import AuthMiddleware
+from boxlift_service.settings import ServiceSettings
+from clients.scripted import Script, Scripted
+from service.running import running_service
+from service.served import served
+from service.test_operation import Stopped, metric
 
 
 def test_the_same_bytes_as_the_local_engine(dataset: Path, service_url: str, tmp_path: Path) -> None:
@@ -48,6 +57,25 @@ def test_no_service_is_one_error_and_not_one_per_frame(dataset: Path, tmp_path: 
     job = LabelJob(dataset, tmp_path, "label_2")
     with pytest.raises(ServiceUnreachableError):
         label_dataset(job, HttpEngine("http://127.0.0.1:9"))
+
+
+def test_a_service_with_little_room_delays_frames_and_loses_none(dataset: Path, tmp_path: Path) -> None:
+    job = LabelJob(dataset, tmp_path, "label_2", settings=RELEASE)
+    limits = {"permits_per_worker": "0.5", "silence_s": "60"}  # two frames at a time
+    with running_service(**limits) as little, ThreadPoolExecutor(1) as pool:
+        with Stopped(little):
+            labelling = pool.submit(label_dataset, job, HttpEngine(little.url))
+            while not metric(little, 'boxlift_refused_total{pool="label",reason="too_busy"}'):
+                time.sleep(0.05)
+        assert labelling.result().frames == {Outcome.LABELLED: 3}
+
+
+def test_an_unknown_key_is_one_error_and_not_one_per_frame(dataset: Path, tmp_path: Path) -> None:
+    add_key(tmp_path / "keys", new_key("studio")[1])
+    keys, settings = ApiKeys(tmp_path / "keys"), ServiceSettings(api_keys=tmp_path / "keys")
+    app = AuthMiddleware(Script("", [Scripted()]), keys, settings, lambda _: None)
+    with served(app) as server, pytest.raises(NotAuthorizedError):
+        label_dataset(LabelJob(dataset, tmp_path / "out", "label_2"), HttpEngine(server.url))
 
 
 def _contents(folder: Path) -> dict[str, bytes]:

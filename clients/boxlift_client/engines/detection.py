@@ -13,7 +13,7 @@ from boxlift.formats.image import decode_image
 from boxlift.frame import Prompt
 from boxlift_client.client import Client
 from boxlift_client.detect_job import DetectJob, ImageWorker
-from boxlift_client.engines.http import REQUESTS_IN_FLIGHT
+from boxlift_client.engines.http import PATIENCE_S, REQUESTS_IN_FLIGHT
 from boxlift_client.in_threads import in_threads
 from boxlift_client.job import FrameReport
 
@@ -61,7 +61,7 @@ class HttpDetectEngine:
 
     def run(self, job: DetectJob, names: Sequence[str]) -> Iterator[FrameReport]:
         """See DetectEngine.run. Raises ServiceError where the service is not there or not ready."""
-        with Client(self._url) as client:
+        with Client(self._url, patience_s=PATIENCE_S) as client:
             client.wait_until_ready()
 
             def detect(folder: ImageFolder, name: str, prompts: tuple[Prompt, ...] | None) -> FrameDetails:

@@ -10,6 +10,8 @@ from boxlift_client.job import FrameReport, FrameWorker, LabelJob
 
 # Enough that the service never waits for a client that loads or writes.
 REQUESTS_IN_FLIGHT = 4
+# A run over a dataset has time: a service that is busy with others delays frames, and loses none.
+PATIENCE_S = 3600.0
 
 
 class HttpEngine:
@@ -21,7 +23,7 @@ class HttpEngine:
 
     def run(self, job: LabelJob, names: Sequence[str]) -> Iterator[FrameReport]:
         """See Engine.run. Raises ServiceError where the service is not there or not ready."""
-        with Client(self._url) as client:
+        with Client(self._url, patience_s=PATIENCE_S) as client:
             client.wait_until_ready()
             worker = FrameWorker(
                 job, lambda frame: client.label(frame, job.settings, detect=job.detects).details
