@@ -34,6 +34,11 @@ class InputError(BoxliftError):
         return f"{self.field}: {self.problem} {self.remedy}"
 
 
+def member(field: str, key: str) -> str:
+    """What errors call a member of `field`; where its name cannot be printed, they name the field alone."""
+    return f"{field}.{key:.40}" if key.isprintable() else field
+
+
 class CalibrationError(InputError):
     """The calibration is missing, not numeric or singular."""
 

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from functools import reduce
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from boxlift.errors import OptionsError
+from boxlift.errors import OptionsError, member
 from boxlift.priors import SIZE_PRIORS, ClassName, SizePrior
 
 
@@ -234,7 +235,7 @@ class LabellerSettings(_Settings):
             return LabellerSettings.model_validate(_overlay(own, options))
         except ValidationError as error:
             first = error.errors()[0]
-            name = ".".join(("options", *(str(part) for part in first["loc"])))
+            name = reduce(member, map(str, first["loc"]), "options")
             raise OptionsError(
                 name,
                 f"{first['msg']} (got {first['input']!r:.80}).",

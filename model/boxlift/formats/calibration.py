@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.camera import Calibration, Floats
-from boxlift.errors import CalibrationError
+from boxlift.errors import CalibrationError, member
+from boxlift.formats import archives
 from boxlift.formats.json_text import finite_number, parse_json
 
 SUFFIXES = (".txt", ".json")
@@ -48,6 +49,9 @@ def parse_calibration(
     `camera_only` leaves the LiDAR out. Raises CalibrationError that names key, value and remedy.
     """
     if isinstance(data, bytes):
+        archive = archives.archive_kind(data)
+        if archive is not None:
+            raise CalibrationError(field, f"the data is {archive}.", archives.REMEDY)
         try:
             data = data.decode("utf-8-sig")
         except UnicodeDecodeError:
@@ -134,7 +138,7 @@ def _parse_json(text: str, field: str, camera_only: bool) -> ParsedCalibration:
     for key in values:
         if key not in _JSON_KEYS:
             raise CalibrationError(
-                f"{field}.{key:.40}",
+                member(field, key),
                 f"the key {key!r:.40} is unknown.",
                 f"Known keys: {', '.join(_JSON_KEYS)}.",
             )

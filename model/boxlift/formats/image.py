@@ -1,4 +1,4 @@
-"""Camera images and instance masks: PNG and JPEG by Pillow, sizes checked before pixels are decoded.
+"""Camera images and instance masks: PNG and JPEG by Pillow, which gets no more of them than pixels need.
 
 An orientation that a JPEG carries (EXIF) is not applied: calibrations speak of the stored pixels.
 """
@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.errors import ImageError, InputError, MissingExtraError, PromptError
+from boxlift.formats.archives import archive_kind
+from boxlift.formats.image_parts import ImageParts, image_parts
 
 if TYPE_CHECKING:
     from PIL import Image as PillowImage
@@ -22,6 +24,8 @@ SUFFIXES = (".png", ".jpg", ".jpeg")
 
 # 64 megapixels: any camera that drives; 192 MB decoded.
 MAX_PIXELS = 64_000_000
+# Beyond it a row alone, or the list of rows, would take more memory than the pixels.
+_LARGEST_SIDE_PX = 65_535
 _REMEDY = "Give a PNG or JPEG image."
 
 
@@ -30,8 +34,7 @@ def image_size(source: bytes | Path, field: str = "image", max_pixels: int = MAX
 
     Raises ImageError where it is no PNG or JPEG, or has more than `max_pixels`.
     """
-    with _open(source, field, max_pixels, ImageError) as image:
-        return image.size
+    return _parts(source, field, max_pixels, ImageError).size_px
 
 
 def decode_image(
@@ -45,7 +48,7 @@ def decode_image(
         if image.mode in ("I", "F") or image.mode.startswith("I;"):
             raise ImageError(field, f"the image has mode {image.mode!r}.", "Give 8 bits a channel.")
         _load(image, field, ImageError)
-        return np.array(image.convert("RGB"))
+        return np.array(image if image.mode == "RGB" else image.convert("RGB"))
 
 
 def resized(image: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.uint8]:
@@ -77,27 +80,44 @@ def decode_instance_ids(
         return np.array(image).astype(np.uint16)
 
 
-def _open(
-    source: bytes | Path, field: str, max_pixels: int, error_type: type[InputError]
-) -> PillowImage.Image:
-    pillow = _pillow()
+def _parts(source: bytes | Path, field: str, max_pixels: int, error_type: type[InputError]) -> ImageParts:
+    """Reads and judges all but the pixels."""
     try:
-        image: PillowImage.Image = pillow.open(
-            source if isinstance(source, Path) else io.BytesIO(source), formats=("PNG", "JPEG")
+        data = source if isinstance(source, bytes) else source.read_bytes()
+        parts = image_parts(data)
+    except OSError as error:
+        raise error_type(field, f"the image cannot be read ({error.strerror}).", "Check the path.") from None
+    except ValueError as error:
+        raise error_type(field, f"the image cannot be opened ({error}).", _REMEDY) from None
+    if parts is None:
+        what = archive_kind(data) or f"data that begins with {data[:8]!r}"
+        raise error_type(field, f"it is {what}, no PNG or JPEG.", _REMEDY)
+    width, height = parts.size_px
+    if not (0 < width <= _LARGEST_SIDE_PX and 0 < height <= _LARGEST_SIDE_PX):
+        raise error_type(
+            field,
+            f"the image has {width} x {height} pixels.",
+            f"Give an image of 1 to {_LARGEST_SIDE_PX} pixels on a side.",
         )
-    except pillow.UnidentifiedImageError:
-        raise error_type(field, f"{_described(source)} is no PNG or JPEG.", _REMEDY) from None
-    # Pillow's readers raise a dozen types for damaged headers (and for bombs beyond 179 megapixels).
-    except Exception as error:
-        raise error_type(field, f"the image cannot be opened ({error!s:.120}).", _REMEDY) from None
-    width, height = image.size
     if width * height > max_pixels:
-        image.close()
         raise error_type(
             field,
             f"the image has {width} x {height} pixels, more than {max_pixels}.",
             "Give a smaller image (and scale its calibration alike).",
         )
+    return parts
+
+
+def _open(
+    source: bytes | Path, field: str, max_pixels: int, error_type: type[InputError]
+) -> PillowImage.Image:
+    parts = _parts(source, field, max_pixels, error_type)
+    pillow = _pillow()
+    try:
+        image: PillowImage.Image = pillow.open(io.BytesIO(parts.data), formats=("PNG", "JPEG"))
+    # Pillow's readers raise a dozen types for damaged headers (and for bombs beyond 179 megapixels).
+    except Exception as error:
+        raise error_type(field, f"the image cannot be opened ({error!s:.120}).", _REMEDY) from None
     return image
 
 
@@ -116,9 +136,3 @@ def _load(image: PillowImage.Image, field: str, error_type: type[InputError]) ->
         raise error_type(
             field, f"the image cannot be decoded ({error!s:.120}).", "The file is truncated or damaged."
         ) from None
-
-
-def _described(source: bytes | Path) -> str:
-    return (
-        f"the file {source.name!r}" if isinstance(source, Path) else f"data that begins with {source[:8]!r}"
-    )

@@ -7,6 +7,7 @@ import math
 from typing import Any, NoReturn
 
 from boxlift.errors import InputError
+from boxlift.formats import archives
 
 
 def parse_json(data: bytes | str, field: str, error_type: type[InputError]) -> Any:
@@ -26,6 +27,9 @@ def parse_json(data: bytes | str, field: str, error_type: type[InputError]) -> A
             raise error_type(field, f"the JSON repeats the keys {repeated[:5]}.", "Give every key once.")
         return found
 
+    archive = archives.archive_kind(data) if isinstance(data, bytes) else None
+    if archive is not None:
+        raise error_type(field, f"the data is {archive}.", archives.REMEDY)
     try:
         text = data if isinstance(data, str) else data.decode("utf-8-sig")
         return json.loads(text, parse_constant=refuse_constant, object_pairs_hook=unique_keys)

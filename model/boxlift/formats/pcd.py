@@ -6,7 +6,6 @@ Source of the format: "The PCD (Point Cloud Data) file format", pointclouds.org 
 from __future__ import annotations
 
 import importlib
-import io
 import struct
 from typing import Any
 
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.errors import MissingExtraError, PointCloudError
+from boxlift.formats.number_lines import read_number_lines
 
 _LARGEST_HEADER_BYTES = 65_536
 # LZF packs at most 264 bytes into 3.
@@ -35,7 +35,9 @@ def decode_pcd(data: bytes, field: str) -> NDArray[Any]:
         raise PointCloudError(field, "FIELDS, SIZE, TYPE and COUNT of the .pcd do not agree.", _REMEDY)
     missing = [axis for axis in "xyz" if axis not in names]
     if missing:
-        raise PointCloudError(field, f"the .pcd has the fields {names[:20]}, without {missing}.", _REMEDY)
+        raise PointCloudError(
+            field, f"the .pcd has the fields {names[:20]!s:.200}, without {missing}.", _REMEDY
+        )
     columns = [names.index(name) for name in ("x", "y", "z", "intensity") if name in names]
     if any(counts[column] != 1 for column in columns):
         raise PointCloudError(field, "a coordinate of the .pcd has COUNT above 1.", _REMEDY)
@@ -105,9 +107,7 @@ def _read_ascii(body: bytes, point_count: int, columns: list[int], field: str) -
         raise _truncated(field, point_count, f"{len(body)} bytes follow")
     if point_count == 0:
         return np.empty((0, len(columns)))
-    table = np.loadtxt(
-        io.BytesIO(body), np.float64, comments=None, usecols=columns, max_rows=point_count, ndmin=2
-    )
+    table = read_number_lines(body, point_count, columns)
     if len(table) != point_count:
         raise _truncated(field, point_count, f"{len(table)} lines follow")
     return table

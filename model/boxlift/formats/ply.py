@@ -5,7 +5,6 @@ Source of the format: Greg Turk, "The PLY Polygon File Format" (1994).
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.errors import PointCloudError
+from boxlift.formats.number_lines import read_number_lines
 
 _LARGEST_HEADER_BYTES = 65_536
 _BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
@@ -41,7 +41,7 @@ def decode_ply(data: bytes, field: str) -> NDArray[Any]:
     names = [name for name, _ in vertex.properties]
     missing = [axis for axis in "xyz" if axis not in names]
     if missing or len(set(names)) != len(names):
-        raise PointCloudError(field, f"the vertices have the properties {names[:20]}.", _REMEDY)
+        raise PointCloudError(field, f"the vertices have the properties {names[:20]!s:.200}.", _REMEDY)
     wanted = [name for name in ("x", "y", "z", "intensity") if name in names]
     dtype = np.dtype([(name, byte_order + number_type) for name, number_type in vertex.properties])
     least_bytes = dtype.itemsize if byte_order else 2 * len(names)  # "0 0 0" and a line break
@@ -52,14 +52,7 @@ def decode_ply(data: bytes, field: str) -> NDArray[Any]:
     if byte_order:
         rows = np.frombuffer(body, dtype, vertex.count)
         return np.stack([rows[name] for name in wanted], axis=1)
-    table = np.loadtxt(
-        io.BytesIO(body),
-        np.float64,
-        comments=None,
-        usecols=[names.index(name) for name in wanted],
-        max_rows=vertex.count,
-        ndmin=2,
-    )
+    table = read_number_lines(body, vertex.count, [names.index(name) for name in wanted])
     if len(table) != vertex.count:
         raise _truncated(field, vertex.count, f"{len(table)} lines")
     return table

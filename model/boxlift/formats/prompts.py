@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 
-from boxlift.errors import PromptError
+from boxlift.errors import PromptError, member
 from boxlift.formats.json_text import finite_number, parse_json
 from boxlift.frame import Prompt
 
@@ -73,9 +73,7 @@ def _parse_prompt(value: object, where: str) -> Prompt:
         raise PromptError(where, f"{value!r:.60} is no object.", _EXAMPLE)
     for key in value:
         if key not in _KEYS:
-            raise PromptError(
-                f"{where}.{key:.40}", f"the key {key!r:.40} is unknown.", f"Known keys: {_KEYS}."
-            )
+            raise PromptError(member(where, key), f"the key {key!r:.40} is unknown.", f"Known keys: {_KEYS}.")
     for key in ("class", "box"):
         if key not in value:
             raise PromptError(f"{where}.{key}", f"the prompt has no {key!r}.", _EXAMPLE)

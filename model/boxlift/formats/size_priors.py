@@ -12,11 +12,12 @@ A class that is built in may be given anew. [[Car.templates]] adds common sizes,
 from __future__ import annotations
 
 import tomllib
+from functools import reduce
 from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
-from boxlift.errors import OptionsError
+from boxlift.errors import OptionsError, member
 from boxlift.priors import ClassName, SizePrior
 
 _SIZES = TypeAdapter(dict[ClassName, SizePrior])
@@ -30,16 +31,19 @@ def parse_size_priors(text: str, field: str = "priors") -> dict[str, SizePrior]:
     """
     try:
         return _SIZES.validate_python(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise OptionsError(field, f"the text is not TOML ({error!s:.120}).", _REMEDY) from None
     except ValidationError as error:
         first = error.errors()[0]
         # Pydantic ends the place of a wrong key with "[key]".
         place = (str(part) for part in first["loc"] if part != "[key]")
-        where = ".".join((field, *place))
+        where = reduce(member, place, field)
         if first["type"] == "missing":
             raise OptionsError(where, "it is missing.", _REMEDY) from None
         raise OptionsError(where, f"{first['msg']} (got {first['input']!r:.80}).", _REMEDY) from None
+    except RecursionError:
+        raise OptionsError(field, "the TOML is nested too deeply.", _REMEDY) from None
+    # TOMLDecodeError, and what int() says of thousands of digits. Pydantic's error is a ValueError too.
+    except ValueError as error:
+        raise OptionsError(field, f"the text is not TOML ({error!s:.120}).", _REMEDY) from None
 
 
 def read_size_priors(path: Path) -> dict[str, SizePrior]:
