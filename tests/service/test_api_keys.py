@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import logging
 import re
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
@@ -207,6 +209,13 @@ def test_a_new_file_is_private_and_an_old_one_stays_as_it_was(tmp_path: Path) ->
         add_key(path, third)
     assert path.read_text() == "broken"
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["keys", "link"]
+
+
+def test_keys_that_are_made_at_the_same_time_are_all_kept(tmp_path: Path) -> None:
+    made = [new_key(f"key-{index}")[1] for index in range(40)]
+    with ThreadPoolExecutor(8) as threads:
+        list(threads.map(partial(add_key, tmp_path / "keys"), made))
+    assert sorted(read_keys(tmp_path / "keys"), key=lambda key: made.index(key)) == made
 
 
 def boxlift_keys(*arguments: object) -> Result:
