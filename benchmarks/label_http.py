@@ -28,7 +28,8 @@ from boxlift.errors import DatasetError
 from boxlift.frame import Frame
 from boxlift.labeller import Labeller
 from boxlift.settings import DEFAULT_PRESET, preset
-from boxlift_client.label_request import Form, form_of_frame
+from boxlift_client.label_request import form_of_frame
+from boxlift_client.request_parts import Form
 from boxlift_client.service_process import running_service
 
 DEFAULT_FOLDER = Path(__file__).resolve().parents[2] / "shared" / "kitti" / "object"
