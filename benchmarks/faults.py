@@ -83,7 +83,7 @@ def run_faults(
 ) -> list[Account]:
     """The accounts of all faults that are wanted."""
     accounts: list[Account] = []
-    chosen = frames(None, 3)
+    chosen = frames(None, extent.frames)
 
     def on(service: Service, *faults: Fault) -> None:
         asyncio.run(on_one_service(Stage(service, prepare(service.url, chosen)), faults, accounts))
@@ -101,9 +101,9 @@ def run_faults(
         except endings.NotPossibleError as error:
             print(f"disk full: not run, {error}")
     if "end" in only:
-        for _ in range(extent.ends):
-            with running_boxlift({**settings, "drain_s": f"{endings.DRAINS_S:g}"}) as service:
-                on(service, endings.end)
+        for drain_s in extent.drains_s:
+            with running_boxlift({**settings, "drain_s": f"{drain_s:g}"}) as service:
+                on(service, partial(endings.end, drain_s=drain_s))
     return accounts
 
 

@@ -67,7 +67,7 @@ class Connection(asyncio.Protocol):
             _, connection = await loop.create_connection(cls, sock=end)
         except OSError as error:
             end.close()
-            raise LostError(f"not connected: {error.strerror}") from None
+            raise LostError(f"not connected ({type(error).__name__})") from None
         return connection
 
     @property

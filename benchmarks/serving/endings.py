@@ -21,7 +21,6 @@ from serving.processes import DETECT, LABEL
 from serving.service_process import Service, running_boxlift
 from serving.stage import Account, Stage
 
-DRAINS_S = 2.0
 _ENDS_WITHIN_S = 30.0
 
 
@@ -79,9 +78,9 @@ def fill(path: Path) -> None:
                 file.write(bytes(size))
 
 
-async def end(stage: Stage) -> Account:
-    """SIGTERM under load: what is sent within DRAINS_S is answered, then all processes end."""
-    service, account = stage.service, Account("SIGTERM under load", times=1)
+async def end(stage: Stage, drain_s: float) -> Account:
+    """SIGTERM under load: what is sent while it drains is answered, then all processes end."""
+    service, account = stage.service, Account(f"SIGTERM under load, {drain_s:g} s to drain", times=1)
     family = [one.pid for one in processes.family(service.pid)]
     told_at = 0.0
 
@@ -89,8 +88,8 @@ async def end(stage: Stage) -> Account:
         nonlocal told_at
         told_at = time.perf_counter()
         os.kill(service.pid, signal.SIGTERM)
-        await asyncio.sleep(DRAINS_S / 2)
-        if await stage.is_ready():
+        await asyncio.sleep(drain_s / 2)
+        if drain_s and await stage.is_ready():
             account.wrong.append("/readyz says 200 while it drains")
         with suppress(TimeoutError):
             async with asyncio.timeout(_ENDS_WITHIN_S):
@@ -100,11 +99,14 @@ async def end(stage: Stage) -> Account:
         account.notes.append(f"it ended with {service.process.returncode} after {took_s:.1f} s")
 
     run = await stage.under_load(account, strike)
+    account.answers.clear()
     # From then on a connection may be refused, or closed before its request was read.
-    drained_s = told_at + DRAINS_S - run.began - 0.2
-    in_time = [one for one in run.outcomes if one.due_s < drained_s or one.verdict in (OK, REFUSED)]
-    account.answers = Counter(one.verdict for one in in_time)
-    account.notes.append(f"{len(run.outcomes) - len(in_time)} requests came too late")
+    drained_s = told_at + drain_s - run.began - 0.2
+    late: Counter[str] = Counter()
+    for one in run.outcomes:
+        in_time = one.due_s < drained_s or one.verdict in (OK, REFUSED)
+        (account.answers if in_time else late)[one.verdict] += 1
+    account.notes.append(f"sent too late: {dict(late)}")
     # A process that has done all that SIGTERM asks for may end by it.
     if service.process.returncode not in (0, -signal.SIGTERM):
         account.wrong.append(f"it ended with {service.process.returncode}")

@@ -18,19 +18,20 @@ from serving.stage import Account, Stage, answer_or_end
 
 @dataclass(frozen=True)
 class Extent:
-    """How often each fault is made."""
+    """How often each fault is made; drains_s: how long each service that is ended may drain."""
 
     kills: int = 20
     stops: int = 2
     vanishing: int = 100
     slow: int = 200
     reloads: int = 5
-    ends: int = 3
+    drains_s: tuple[float, ...] = (0.0, 2.0, 5.0)
+    frames: int = 3
 
     @classmethod
     def short(cls) -> Extent:
         """For a first impression."""
-        return cls(kills=2, stops=1, vanishing=10, slow=20, reloads=1, ends=1)
+        return cls(kills=2, stops=1, vanishing=10, slow=20, reloads=1, drains_s=(2.0,), frames=1)
 
 
 async def kill(stage: Stage, role: str, times: int) -> Account:

@@ -1,4 +1,4 @@
-"""benchmarks/faults.py in its short form: whatever happens, requests are answered and nothing is left behind."""
+"""benchmarks/faults.py, briefly: whatever happens, requests are answered and nothing is left behind."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SOON = ["--set", "receive_idle_s=1", "--set", "receive_limit_s=4"]
 
 def accounts_of(told: Path, *arguments: str) -> dict[str, dict[str, Any]]:
     """The accounts of a short run, by fault."""
-    command = [sys.executable, SCRIPT, "--short", "--json", told, *arguments]
+    command = [sys.executable, str(SCRIPT), "--short", "--json", str(told), *arguments]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert told.exists(), ran.stderr
     return {account["fault"]: account for account in json.loads(told.read_text())["faults"]}
@@ -35,7 +35,7 @@ def accounts_of(told: Path, *arguments: str) -> dict[str, dict[str, Any]]:
                 "slow uploads at once",
             ],
         ),
-        (["--only", "end"], ["SIGTERM under load"]),
+        (["--only", "end"], ["SIGTERM under load, 2 s to drain"]),
     ],
     ids=["one service", "its end"],
 )

@@ -1,4 +1,4 @@
-"""benchmarks/load.py in its short form: what comes beyond the permits is refused, everything else answered."""
+"""benchmarks/load.py, briefly: what comes beyond the permits is refused, everything else is answered."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "load.py"
 
 def test_under_any_load_a_request_is_answered_or_refused_with_retry_after(tmp_path: Path) -> None:
     told = tmp_path / "load.json"
-    command = [sys.executable, SCRIPT, "--short", "1", "--frames", "1", "--json", told]
+    command = [sys.executable, str(SCRIPT), "--short", "1", "--frames", "1", "--json", str(told)]
     ran = subprocess.run(
         [*command, "--set", "permits_per_worker=2"], capture_output=True, text=True, timeout=300
     )
