@@ -1,13 +1,13 @@
 """Fuzzes every decoder of what a stranger may send: no crash, no warning, bounded time and memory.
 
-    python benchmarks/fuzz_decoders.py [--inputs 200000] [--decoder NAME ...] [--seed 0] [--jobs 2]
+    python benchmarks/fuzz_decoders.py [--inputs 200000] [--decoder NAME ...] [--seed 0] [--jobs 2] [--large]
 
 Needs atheris (`pip install atheris`), which goes on from inputs that reached new lines of Python; four
 of five mutations are our own (tests/fuzz/mutator.py), which know the formats. Each input must be decoded or
 refused with an InputError, without a warning, in 0.25 s of processor time and 2 s of any, and in memory of
 a small multiple of its size. What breaks this is written to tests/fuzz/found/, whose files
 tests/fuzz/test_found.py examines ever after; the exit status is then 1. tests/fuzz/test_decoders.py is
-the short form.
+the short form. --large measures instead what the largest inputs cost that are made to be slow.
 """
 
 from __future__ import annotations
@@ -82,7 +82,13 @@ def main() -> int:
     parser.add_argument("--decoder", action="append", choices=DECODERS)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--large", action="store_true")
     arguments = parser.parse_args()
+    if arguments.large:
+        command = [sys.executable, "-m", "fuzz.large"]
+        return subprocess.run(
+            command, env={**os.environ, "PYTHONPATH": _python_path()}, check=False
+        ).returncode
     names = arguments.decoder or DECODERS
     print("| decoder | inputs | accepted | refused | slowest, ms | peak, MB | findings | wall, s |")
     print("|---|---|---|---|---|---|---|---|")

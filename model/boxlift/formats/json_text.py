@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from typing import Any, NoReturn
 
 from boxlift.errors import InputError
@@ -22,9 +23,10 @@ def parse_json(data: bytes | str, field: str, error_type: type[InputError]) -> A
     def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         found = dict(pairs)
         if len(found) != len(pairs):
-            keys = [key for key, _ in pairs]
-            repeated = sorted({key for key in keys if keys.count(key) > 1} if len(keys) < 1000 else [])
-            raise error_type(field, f"the JSON repeats the keys {repeated[:5]}.", "Give every key once.")
+            repeated = [key for key, count in Counter(key for key, _ in pairs).items() if count > 1]
+            raise error_type(
+                field, f"the JSON repeats the keys {repeated[:5]!s:.120}.", "Give every key once."
+            )
         return found
 
     archive = archives.archive_kind(data) if isinstance(data, bytes) else None

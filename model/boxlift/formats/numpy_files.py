@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.errors import PointCloudError
+from boxlift.formats.cloud_limits import require_point_count
 
 NPY_MAGIC = b"\x93NUMPY"
 
@@ -31,7 +32,7 @@ _ROWS_AND_COLUMNS = re.compile(r"\((\d{1,18})L?, *(\d{1,4})L?,? *\)", re.ASCII)
 _REMEDY = "Save an (N, 3+) float array."
 
 
-def decode_npy(data: bytes, field: str) -> NDArray[Any]:
+def decode_npy(data: bytes, field: str, max_points: int | None = None) -> NDArray[Any]:
     """An .npy file's bytes -> its (N, 3+) array of numbers. Raises PointCloudError."""
     header, body = _split_header(data, field)
     type_name, order, shape_text = (pattern.search(header) for pattern in (_TYPE, _ORDER, _SHAPE))
@@ -52,10 +53,11 @@ def decode_npy(data: bytes, field: str) -> NDArray[Any]:
             f"the header promises shape {shape} of {dtype}, {len(body)} bytes follow.",
             "The file is truncated or damaged; save it again.",
         )
+    require_point_count(shape[0], max_points, field)
     return np.frombuffer(body, dtype).reshape(shape, order="F" if order[1] == "True" else "C")
 
 
-def decode_npz(data: bytes, field: str) -> NDArray[Any]:
+def decode_npz(data: bytes, field: str, max_points: int | None = None) -> NDArray[Any]:
     """An .npz file's bytes -> its array named points, or its only one. Raises PointCloudError."""
     # zipfile makes an object of each entry: of a million in one body.
     if data.count(b"PK\x01\x02") > _MOST_MEMBERS:
@@ -83,7 +85,7 @@ def decode_npz(data: bytes, field: str) -> NDArray[Any]:
             f"the data is a .zip archive whose {member.filename!r:.60} holds no array.",
             "Save the points by np.savez.",
         )
-    return decode_npy(array, field)
+    return decode_npy(array, field, max_points)
 
 
 def _chosen(members: list[zipfile.ZipInfo], field: str) -> zipfile.ZipInfo:

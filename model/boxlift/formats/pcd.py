@@ -13,23 +13,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.errors import MissingExtraError, PointCloudError
+from boxlift.formats.cloud_limits import require_point_count
 from boxlift.formats.number_lines import read_number_lines
 
 _LARGEST_HEADER_BYTES = 65_536
 # LZF packs at most 264 bytes into 3.
 _LARGEST_LZF_RATIO = 88
 _LARGEST_UNPACKED_BYTES = 2**28
+_MOST_DIGITS = 18
 _REMEDY = "Save the .pcd again (version 0.7 with the fields x y z)."
 
 
-def decode_pcd(data: bytes, field: str) -> NDArray[Any]:
+def decode_pcd(data: bytes, field: str, max_points: int | None = None) -> NDArray[Any]:
     """A .pcd file's bytes -> (N, 3) x, y, z, or (N, 4) where there is a field named intensity.
 
     Raises PointCloudError; other exceptions of NumPy may pass for malformed numbers.
     """
     header, body = _split_header(data, field)
     names = header.get("FIELDS", [])
-    counts = [int(count) for count in header.get("COUNT", ["1"] * len(names))]
+    counts = [_whole_number(count) for count in header.get("COUNT", ["1"] * len(names))]
     kinds, sizes = header.get("TYPE", []), header.get("SIZE", [])
     if not len(names) == len(counts) == len(kinds) == len(sizes) or not all(0 < n <= 1000 for n in counts):
         raise PointCloudError(field, "FIELDS, SIZE, TYPE and COUNT of the .pcd do not agree.", _REMEDY)
@@ -42,6 +44,7 @@ def decode_pcd(data: bytes, field: str) -> NDArray[Any]:
     if any(counts[column] != 1 for column in columns):
         raise PointCloudError(field, "a coordinate of the .pcd has COUNT above 1.", _REMEDY)
     point_count = _point_count(header, field)
+    require_point_count(point_count, max_points, field)
     encoding = header["DATA"][0] if header["DATA"] else ""
     if encoding == "ascii":
         starts = np.cumsum([0, *counts])
@@ -77,14 +80,21 @@ def _split_header(data: bytes, field: str) -> tuple[dict[str, list[str]], bytes]
 def _point_count(header: dict[str, list[str]], field: str) -> int:
     try:
         if "POINTS" in header:
-            count = int(header["POINTS"][0])
+            count = _whole_number(header["POINTS"][0])
         else:
-            count = int(header["WIDTH"][0]) * int(header["HEIGHT"][0])
+            count = _whole_number(header["WIDTH"][0]) * _whole_number(header["HEIGHT"][0])
     except (KeyError, IndexError, ValueError):
         raise PointCloudError(field, "the .pcd does not say how many POINTS it has.", _REMEDY) from None
     if count < 0:
         raise PointCloudError(field, f"the .pcd says that it has {count} points.", _REMEDY)
     return count
+
+
+def _whole_number(word: str) -> int:
+    """Raises ValueError where it is none, or one of more digits than any count has."""
+    if len(word) > _MOST_DIGITS:
+        raise ValueError(f"{word[:20]!r}... is no count")
+    return int(word)
 
 
 def _number_type(kind: str, size: str, field: str) -> np.dtype[Any]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.errors import PointCloudError
+from boxlift.formats.cloud_limits import require_point_count
 from boxlift.formats.number_lines import read_number_lines
 
 _LARGEST_HEADER_BYTES = 65_536
@@ -32,7 +33,7 @@ class _Element:
     properties: list[tuple[str, str]] = field(default_factory=list)  # name and number type
 
 
-def decode_ply(data: bytes, field: str) -> NDArray[Any]:
+def decode_ply(data: bytes, field: str, max_points: int | None = None) -> NDArray[Any]:
     """A .ply file's bytes -> (N, 3) x, y, z, or (N, 4) where there is a property named intensity.
 
     Raises PointCloudError; other exceptions of NumPy may pass for malformed numbers.
@@ -47,6 +48,7 @@ def decode_ply(data: bytes, field: str) -> NDArray[Any]:
     least_bytes = dtype.itemsize if byte_order else 2 * len(names)  # "0 0 0" and a line break
     if vertex.count * least_bytes > len(body) + 1:
         raise _truncated(field, vertex.count, f"{len(body)} bytes")
+    require_point_count(vertex.count, max_points, field)
     if vertex.count == 0:
         return np.empty((0, len(wanted)))
     if byte_order:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from boxlift.errors import MissingExtraError, PointCloudError
 from boxlift.formats import archives
+from boxlift.formats.cloud_limits import require_point_count
 from boxlift.formats.numpy_files import NPY_MAGIC, decode_npy, decode_npz
 from boxlift.formats.pcd import decode_pcd
 from boxlift.formats.ply import decode_ply
@@ -30,6 +31,9 @@ _NPZ_MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
 _FORMATS_REMEDY = "Give KITTI .bin (float32 x y z intensity), .npy, .npz, .pcd or .ply."
 
 
+_Decode = Callable[[bytes, str, int | None], NDArray[Any]]
+
+
 @dataclass(frozen=True)
 class DecodedPoints:
     """points: (N, 3+) float32 with N > 0, the first three columns x, y, z finite and in metres.
@@ -41,18 +45,21 @@ class DecodedPoints:
     dropped: int
 
 
-def decode_points(data: bytes, name: str | None = None, field: str = "points") -> DecodedPoints:
+def decode_points(
+    data: bytes, name: str | None = None, field: str = "points", max_points: int | None = None
+) -> DecodedPoints:
     """A point cloud file's bytes -> its finite points.
 
     `name` is the file's name where it has one, `field` what errors call the input. Raises
-    PointCloudError where the data is of no known format, truncated, or holds no finite point.
+    PointCloudError where the data is of no known format, truncated, holds no finite point, or more than
+    `max_points` points, finite or not.
     """
     if not data:
         raise PointCloudError(field, "the data is empty (0 bytes).", _FORMATS_REMEDY)
     decode = _decoder(data, name, field)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # columns may hold anything
-            return _finite(decode(data, field), field)
+            return _finite(decode(data, field, max_points), field)
     except (PointCloudError, MissingExtraError, MemoryError):
         raise
     # Whatever else a malformed file provokes in array code is that file's fault.
@@ -73,7 +80,7 @@ def read_points(path: Path) -> DecodedPoints:
     return decode_points(data, path.name, str(path))
 
 
-def _decoder(data: bytes, name: str | None, field: str) -> Callable[[bytes, str], NDArray[Any]]:
+def _decoder(data: bytes, name: str | None, field: str) -> _Decode:
     archive = archives.archive_kind(data)
     if archive is not None and not data.startswith(_NPZ_MAGICS):
         raise PointCloudError(field, f"the data is {archive}.", archives.REMEDY)
@@ -94,7 +101,7 @@ def _decoder(data: bytes, name: str | None, field: str) -> Callable[[bytes, str]
     return _decode_kitti_bin
 
 
-def _decode_kitti_bin(data: bytes, field: str) -> NDArray[Any]:
+def _decode_kitti_bin(data: bytes, field: str, max_points: int | None) -> NDArray[Any]:
     if len(data) % _KITTI_RETURN_BYTES:
         raise PointCloudError(
             field,
@@ -102,6 +109,7 @@ def _decode_kitti_bin(data: bytes, field: str) -> NDArray[Any]:
             "the file is truncated or of another format.",
             "Give float32 x, y, z, intensity for every return (other columns: save an .npy).",
         )
+    require_point_count(len(data) // _KITTI_RETURN_BYTES, max_points, field)
     return np.frombuffer(data, "<f4").reshape(-1, 4)
 
 

@@ -248,3 +248,11 @@ def test_real_frames(kitti_object_root: Path) -> None:
     decoded = read_points(path)
     assert decoded.points.shape == (path.stat().st_size // 16, 4)
     assert decoded.dropped == 0
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_limit_of_points(kind: str) -> None:
+    data = WRITERS[kind](np.concatenate([POINTS[:9], np.full((1, 4), np.nan, np.float32)]))
+    assert decode_points(data, max_points=10).dropped == 1
+    with pytest.raises(PointCloudError, match=r"there are 10 points\. Give at most 9"):
+        decode_points(data, max_points=9)
