@@ -30,7 +30,7 @@ PATH = "/label:batch"
 # Their names are remembered, so there is an end to them.
 MOST_FRAMES = 10_000
 # Of answers that the client has not taken yet; beyond it the service waits for it and reads no further.
-_MOST_UNREAD_BYTES = 16 * 2**20
+_MOST_UNREAD_BYTES = 64 * 2**20
 # How long a frame waits for room among the bodies that are held.
 _WAITS_FOR_ROOM_S = 10.0
 

@@ -66,6 +66,7 @@ def test_a_service_with_little_room_delays_frames_and_loses_none(dataset: Path, 
         with Stopped(little):
             labelling = pool.submit(label_dataset, job, HttpEngine(little.url))
             while not metric(little, 'boxlift_refused_total{pool="label",reason="too_busy"}'):
+                assert not labelling.done()
                 time.sleep(0.05)
         assert labelling.result().frames == {Outcome.LABELLED: 3}
 
