@@ -127,6 +127,7 @@ def _masks(data: bytes) -> None:
     ids = decode_instance_ids(data, max_pixels=MAX_PIXELS)
     assert ids.dtype == np.uint16
     assert ids.ndim == 2
+    assert 0 < ids.size <= MAX_PIXELS
 
 
 _NPY_WORDS = (

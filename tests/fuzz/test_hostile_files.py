@@ -227,6 +227,13 @@ def test_a_damaged_png_header_is_no_size() -> None:
         image_size(bytes(data))
 
 
+def test_a_second_png_header_does_not_get_by_the_limit() -> None:
+    """Decoders take the last one."""
+    large = b"IHDR", struct.pack(">IIBBBBB", 13_000, 9000, 8, 2, 0, 0, 0)
+    with pytest.raises(ImageError, match="two headers"):
+        decode_image(png_of([HEADER, large, PIXELS, END]), max_pixels=117)
+
+
 def jpeg(progressive: bool = False) -> bytes:
     stream = io.BytesIO()
     Image.new("RGB", (40, 24), (90, 120, 150)).save(stream, "JPEG", progressive=progressive)

@@ -65,6 +65,8 @@ def _png_parts(data: bytes) -> ImageParts:
             break
         size, kind = struct.unpack_from(">I4s", data, at)
         end = at + 12 + size
+        if kind == b"IHDR" and at > 8:
+            raise ValueError("the PNG has two headers")
         if kind in _PNG_PIXEL_CHUNKS:
             kept.append(view[at:end])
         if kind == b"IEND":
