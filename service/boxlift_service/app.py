@@ -15,6 +15,7 @@ import boxlift
 from boxlift.errors import InputError
 from boxlift.formats.size_priors import read_size_priors
 from boxlift.settings import PRESETS, LabellerSettings
+from boxlift_service import documentation
 from boxlift_service.answer_examples import with_answer_examples
 from boxlift_service.answers import API_VERSION
 from boxlift_service.api_keys import ApiKeys
@@ -44,8 +45,11 @@ from boxlift_service.worker_process import WorkerProcess
 
 
 class _Application(FastAPI):
+    asks_for_keys = False
+
     def openapi(self) -> dict[str, Any]:
-        return with_answer_examples(super().openapi())
+        document = with_answer_examples(super().openapi())
+        return documentation.with_keys(document) if self.asks_for_keys else document
 
 
 def create_app(
@@ -115,6 +119,7 @@ def create_app(
 
     # What is added last lies outermost.
     if keys is not None:
+        app.asks_for_keys = True
         app.add_middleware(AuthMiddleware, keys=keys, settings=settings, on_refused=on_refused)
     add_origin_layers(app, settings, on_refused)
     streamed = {f"{version}/label:batch" for version in ("", f"/v{API_VERSION}")}

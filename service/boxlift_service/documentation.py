@@ -275,6 +275,16 @@ DEADLINE_PARAMETER: dict[str, Any] = {
 }
 
 
+def with_keys(document: dict[str, Any]) -> dict[str, Any]:
+    """The OpenAPI document of a service that asks for API keys."""
+    schemes = document.setdefault("components", {}).setdefault("securitySchemes", {})
+    schemes["key"] = {"type": "http", "scheme": "bearer", "description": "An API key."}
+    document["security"] = [{"key": []}]
+    for path in ("/healthz", "/readyz"):
+        document["paths"][path]["get"]["security"] = []
+    return document
+
+
 def problem_responses(*kinds: Kind) -> dict[int | str, dict[str, Any]]:
     """The `responses` of a route that may end in these kinds of problems."""
     by_status: dict[int | str, list[Kind]] = {}

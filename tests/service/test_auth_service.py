@@ -66,6 +66,7 @@ def keyed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Keyed]:
 def test_every_route_but_the_probes_asks_for_a_key(keyed: Keyed) -> None:
     document = keyed.service.client.get("/openapi.json", headers={"Authorization": f"Bearer {keyed.secret}"})
     routes = [(method, path) for path, methods in document.json()["paths"].items() for method in methods]
+    assert document.json()["security"] == [{"key": []}]
     assert ("post", "/label") in routes
     assert ("get", "/metrics") in routes
     for method, path in [*routes, ("get", "/openapi.json"), ("get", "/nothing"), ("options", "/label")]:
