@@ -121,8 +121,8 @@ async def _vanish(
     draw = random.Random(fault)
 
     async def strike(_: Account) -> None:
-        for begin in range(0, times, 5):
-            await asyncio.gather(*(vanish(draw) for _ in range(begin, min(begin + 5, times))))
+        for begin in range(0, times, 10):
+            await asyncio.gather(*(vanish(draw) for _ in range(begin, min(begin + 10, times))))
 
     await stage.under_load(account, strike, connections=3)
     return account
