@@ -26,7 +26,8 @@ from boxlift.formats.calibration import read_calibration
 from boxlift.formats.image import decode_image
 from boxlift.monocular import Monocular
 from boxlift.stage_times import StageTimes
-from boxlift_client.detect_request import Parts, parts_of_files, parts_of_image
+from boxlift_client.detect_request import parts_of_files, parts_of_image
+from boxlift_client.request_parts import Parts
 from boxlift_client.service_process import running_service
 
 _WARM_UPS = 5
