@@ -29,7 +29,7 @@ import httpx
 from boxlift.settings import DEFAULT_PRESET, preset
 from boxlift_client.detect_request import parts_of_image
 from boxlift_client.label_request import form_of_frame
-from boxlift_service.api_keys import new_key
+from boxlift_service.guards.api_keys import new_key
 from serving import prepared, processes
 from serving.panels import page
 from serving.prometheus import DOCKER, STEP_S, Prometheus, Series, running_prometheus

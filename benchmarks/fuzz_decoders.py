@@ -27,8 +27,17 @@ _TESTS = Path(__file__).resolve().parents[1] / "tests"
 _FOUND = _TESTS / "fuzz" / "found"
 DECODERS = (
     *("bin", "npy", "npz", "pcd-ascii", "pcd-binary", "pcd-compressed", "ply-ascii", "ply-little", "ply-big"),
-    *("calib-text", "calib-json", "calib-camera", "prompts", "prompt-lists", "options", "priors"),
-    *("png", "jpeg", "png-header", "jpeg-header", "masks"),
+    *(
+        "calib-text",
+        "calib-json",
+        "calib-camera",
+        "camera-config",
+        "prompts",
+        "prompt-lists",
+        "options",
+        "priors",
+    ),
+    *("png", "jpeg", "png-header", "jpeg-header", "masks", "form", "form-type", "msgpack"),
 )
 
 

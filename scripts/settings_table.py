@@ -10,8 +10,8 @@ def settings_page() -> str:
     lines = [
         "# Settings of the service",
         "",
-        "Environment variables; `boxlift serve` has the most used ones as options, which go before them. Made by",
-        "`python scripts/settings_table.py`.",
+        "Environment variables; `boxlift serve` has the most used ones as options, which go before them.",
+        "Made by `python scripts/settings_table.py`.",
         "",
         "| Variable | Default | |",
         "|---|---|---|",

@@ -15,21 +15,19 @@ import boxlift
 from boxlift.errors import InputError
 from boxlift.formats.size_priors import read_size_priors
 from boxlift.settings import PRESETS, LabellerSettings
-from boxlift_service import documentation
-from boxlift_service.answer_examples import with_answer_examples
 from boxlift_service.answers import API_VERSION
-from boxlift_service.api_keys import ApiKeys
-from boxlift_service.auth import AuthMiddleware, check_exposure
 from boxlift_service.batch import BatchService
-from boxlift_service.body_limit import BodyLimitMiddleware
-from boxlift_service.detection import Detection
-from boxlift_service.label_worker import LabelWorker, open_label_worker
-from boxlift_service.labelling import Labelling
+from boxlift_service.bodies.shared_parts import HeldBytes
+from boxlift_service.detection.detection import Detection
+from boxlift_service.documentation import documentation
+from boxlift_service.documentation.answer_examples import with_answer_examples
+from boxlift_service.guards.api_keys import ApiKeys
+from boxlift_service.guards.auth import AuthMiddleware, check_exposure
+from boxlift_service.guards.body_limit import BodyLimitMiddleware
+from boxlift_service.guards.origins import add_origin_layers
+from boxlift_service.labelling.labelling import Labelling
+from boxlift_service.labelling.worker import LabelWorker, open_label_worker
 from boxlift_service.lifecycle import Lifecycle
-from boxlift_service.metrics import Metrics
-from boxlift_service.observation import ObservationMiddleware, start_tracing
-from boxlift_service.origins import add_origin_layers
-from boxlift_service.permits import Permits
 from boxlift_service.problems import ProblemError, on_http_exception, on_input_error, on_problem
 from boxlift_service.routes.detect import detect_routes
 from boxlift_service.routes.health import health_routes
@@ -39,9 +37,11 @@ from boxlift_service.routes.metrics import metrics_routes
 from boxlift_service.routes.models import models_routes
 from boxlift_service.routes.recognition import recognition_routes
 from boxlift_service.settings import ServiceSettings
-from boxlift_service.shared_parts import HeldBytes
-from boxlift_service.worker_pool import WorkerPool
-from boxlift_service.worker_process import WorkerProcess
+from boxlift_service.telemetry.metrics import Metrics
+from boxlift_service.telemetry.observation import ObservationMiddleware, start_tracing
+from boxlift_service.workers.permits import Permits
+from boxlift_service.workers.pool import WorkerPool
+from boxlift_service.workers.process import WorkerProcess
 
 
 class _Application(FastAPI):
@@ -134,7 +134,7 @@ def _label_pool(
     settings: ServiceSettings, presets: Mapping[str, LabellerSettings], metrics: Metrics
 ) -> WorkerPool:
     """The workers that label. A permit is a million objects x points."""
-    multiprocessing.get_context("forkserver").set_forkserver_preload(["boxlift_service.label_libraries"])
+    multiprocessing.get_context("forkserver").set_forkserver_preload(["boxlift_service.labelling.libraries"])
 
     def new_process() -> WorkerProcess[LabelWorker]:
         return WorkerProcess(

@@ -12,18 +12,18 @@ from typing import Any
 from starlette.requests import Request
 
 from boxlift.errors import InputError
-from boxlift_service.deadline import Deadline
-from boxlift_service.decoding import label_fields
-from boxlift_service.form import Field
-from boxlift_service.label_tasks import AnswerFormat
-from boxlift_service.labelling import Labelling
+from boxlift_service.bodies.form import Field
+from boxlift_service.bodies.msgpack_frames import MapReader
+from boxlift_service.bodies.shared_parts import HeldBytes, SharedParts
+from boxlift_service.labelling.decoding import label_fields
+from boxlift_service.labelling.labelling import Labelling
+from boxlift_service.labelling.tasks import AnswerFormat
 from boxlift_service.lifecycle import Lifecycle
-from boxlift_service.metrics import Metrics
-from boxlift_service.msgpack_frames import MapReader
 from boxlift_service.problems import Kind, ProblemError, problem_of
 from boxlift_service.settings import ServiceSettings
-from boxlift_service.shared_parts import HeldBytes, SharedParts
-from boxlift_service.timing import RequestTimes
+from boxlift_service.telemetry.metrics import Metrics
+from boxlift_service.telemetry.timing import RequestTimes
+from boxlift_service.workers.deadline import Deadline
 
 PATH = "/label:batch"
 

@@ -30,9 +30,9 @@ def run(settings: ServiceSettings) -> None:
         import uvicorn
 
         from boxlift_service.app import create_app
-        from boxlift_service.connections import Connections, allow_open_files, protocol_class
-        from boxlift_service.logs import configure_logging
-        from boxlift_service.metrics import Metrics
+        from boxlift_service.guards.connections import Connections, allow_open_files, protocol_class
+        from boxlift_service.telemetry.logs import configure_logging
+        from boxlift_service.telemetry.metrics import Metrics
     except ModuleNotFoundError as error:
         raise MissingExtraError(error.name or "fastapi", "serve") from None
 

@@ -23,8 +23,8 @@ from boxlift_client.errors import (
     UnexpectedAnswerError,
 )
 from boxlift_client.label_answer import problem_error, read_label_answer
-from boxlift_service.api_keys import ApiKeys, add_key, new_key
-from boxlift_service.auth import AuthMiddleware
+from boxlift_service.guards.api_keys import ApiKeys, add_key, new_key
+from boxlift_service.guards.auth import AuthMiddleware
 from boxlift_service.settings import ServiceSettings
 from clients.scripted import Ask, Script, Scripted, label_answer, scripted, with_both_clients
 from service.served import served

@@ -12,8 +12,8 @@ from boxlift_client import LabelJob, Outcome, label_dataset
 from boxlift_client.engines.http import HttpEngine
 from boxlift_client.engines.local import LocalEngine
 from boxlift_client.errors import NotAuthorizedError, ServiceUnreachableError
-from boxlift_service.api_keys import ApiKeys, add_key, new_key
-from boxlift_service.auth import AuthMiddleware
+from boxlift_service.guards.api_keys import ApiKeys, add_key, new_key
+from boxlift_service.guards.auth import AuthMiddleware
 from boxlift_service.settings import ServiceSettings
 from clients.scripted import Script, Scripted
 from service.running import running_service

@@ -15,7 +15,7 @@ from threading import Thread
 import pytest
 
 from boxlift.errors import OptionsError
-from boxlift_service.auth import check_exposure
+from boxlift_service.guards.auth import check_exposure
 from docker.files import DOCKER, ROOT, dockerfile, image_environment, last_stage, settings_in
 
 

@@ -9,7 +9,7 @@ import kubernetes_validate
 import pytest
 
 from boxlift.errors import OptionsError
-from boxlift_service.api_keys import parse_keys
+from boxlift_service.guards.api_keys import parse_keys
 from docker.files import KUBERNETES, last_stage, manifest, settings_in, yaml_documents
 
 # Kinds that Kubernetes itself does not know.

@@ -9,16 +9,18 @@ from random import Random
 
 import numpy as np
 
+from boxlift.camera import Calibration
 from boxlift.errors import OptionsError
-from boxlift.formats.calibration import ParsedCalibration, parse_calibration
+from boxlift.formats.calibration import ParsedCalibration, parse_calibration, to_kitti_text
 from boxlift.formats.image import decode_image, decode_instance_ids, image_size
 from boxlift.formats.json_text import parse_json
 from boxlift.formats.point_cloud import decode_points
 from boxlift.formats.prompts import MAX_PROMPTS, parse_prompt_lists, parse_prompts
 from boxlift.formats.size_priors import parse_size_priors
+from boxlift.formats.xtreme1 import parse_camera_config
 from boxlift.frame import Prompt
 from boxlift.settings import preset
-from fuzz import seeds
+from fuzz import bodies, seeds
 from fuzz.containers import Inner, in_jpeg, in_lzf, in_npz, in_png
 from fuzz.mutator import LONGEST, damaged
 
@@ -72,14 +74,24 @@ def _camera(data: bytes) -> None:
 
 
 def _check_calibration(parsed: ParsedCalibration) -> None:
-    calibration = parsed.calibration
+    _check_matrices(parsed.calibration)
+    if parsed.image_size_px is not None:
+        assert all(1 <= side <= 65_535 for side in parsed.image_size_px)
+
+
+def _check_matrices(calibration: Calibration) -> None:
     assert np.isfinite(calibration.image_P_cam).all()
     assert np.isfinite(calibration.cam_SE3_velo).all()
     assert np.isfinite(calibration.camera_center_cam).all()
     pixels, _ = calibration.project(np.array([[1.0, 1.0, 20.0]]))
     assert pixels.shape == (1, 2)
-    if parsed.image_size_px is not None:
-        assert all(1 <= side <= 65_535 for side in parsed.image_size_px)
+
+
+def _camera_config(data: bytes) -> None:
+    for parsed in parse_camera_config(data):
+        if parsed is not None:
+            assert to_kitti_text(parsed.calibration)
+            _check_matrices(parsed.calibration)
 
 
 def _prompts(data: bytes) -> None:
@@ -130,6 +142,51 @@ def _masks(data: bytes) -> None:
     assert 0 < ids.size <= MAX_PIXELS
 
 
+_FORM_WORDS = (
+    *(
+        b"--a-boundary\r\n",
+        b"--a-boundary--\r\n",
+        b"\r\n",
+        b"\r",
+        b"--",
+        b"Content-Disposition: form-data",
+        b";",
+    ),
+    *(
+        b'; name="points"',
+        b'; name="image"',
+        b'; name="calib"',
+        b"; filename*=utf-8''%ff",
+        b'; filename="',
+        b"\\",
+    ),
+    *(
+        b"Content-Transfer-Encoding: base64\r\n",
+        b"Content-Type: multipart/mixed\r\n",
+        b"boundary=",
+        b": ",
+        b"\x00",
+    ),
+)
+_MSGPACK_WORDS = (
+    *(
+        b"\xa6points",
+        b"\xa5calib",
+        b"\xa5image",
+        b"\xafpoints_filename",
+        b"\xc4\x01a",
+        b"\xc5\x00\x01a",
+        b"\x80",
+    ),
+    *(
+        b"\xc6\xff\xff\xff\xff",
+        b"\xdb\xff\xff\xff\xff",
+        b"\xdf\xff\xff\xff\xff",
+        b"\xde\x00\x64",
+        b"\xc7\x01\x01a",
+    ),
+    *(b"\xdd\xff\xff\xff\xff", b"\xc0", b"\xa0", b"\xd9\x00"),
+)
 _NPY_WORDS = (
     *(
         b"\x93NUMPY",
@@ -313,6 +370,7 @@ def decoders() -> dict[str, Decoder]:
         "calib-camera": Decoder(
             _camera, seeds.calibration_text() + seeds.calibration_json(), _CALIBRATION_WORDS
         ),
+        "camera-config": Decoder(_camera_config, seeds.camera_config(), _CALIBRATION_WORDS),
         "prompts": Decoder(_prompts, seeds.prompts(), _PROMPT_WORDS),
         "prompt-lists": Decoder(_prompt_lists, seeds.prompt_lists(), _PROMPT_WORDS),
         "options": Decoder(_options, seeds.options(), _OPTION_WORDS),
@@ -322,4 +380,7 @@ def decoders() -> dict[str, Decoder]:
         "png-header": Decoder(_image_size, seeds.png(), _PNG_WORDS, in_png),
         "jpeg-header": Decoder(_image_size, seeds.jpeg(), _JPEG_WORDS, in_jpeg),
         "masks": Decoder(_masks, seeds.masks(), _PNG_WORDS, in_png),
+        "form": Decoder(bodies.read_form_body, bodies.form_bodies(), _FORM_WORDS),
+        "form-type": Decoder(bodies.read_form_type, bodies.form_types(), _FORM_WORDS),
+        "msgpack": Decoder(bodies.read_msgpack_body, bodies.msgpack_bodies(), _MSGPACK_WORDS),
     }

@@ -22,7 +22,10 @@ from typing import Any
 atheris: Any = import_module("atheris")  # a C extension without types
 
 # Python code alone; NumPy's and Pillow's C code is not led, but its crashes are seen.
-_LED_BY = ["boxlift", "zipfile", "tomllib", "PIL.PngImagePlugin", "PIL.JpegImagePlugin", "PIL.ImageFile"]
+_LED_BY = [
+    *("boxlift", "boxlift_service", "python_multipart.multipart", "zipfile", "tomllib"),
+    *("PIL.PngImagePlugin", "PIL.JpegImagePlugin", "PIL.ImageFile"),
+]
 
 with atheris.instrument_imports(include=_LED_BY):
     from fuzz.decoders import decoders

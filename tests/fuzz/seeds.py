@@ -118,6 +118,16 @@ def calibration_json() -> tuple[bytes, ...]:
     )
 
 
+def camera_config() -> tuple[bytes, ...]:
+    """Cameras of Xtreme1 in both spellings, and column by column."""
+    internal = {"fx": 700.0, "fy": 700, "cx": 600, "cy": 180}
+    rows = [n for row in _CAM_T_VELO for n in row]
+    columns = [row[column] for column in range(4) for row in _CAM_T_VELO]
+    old = {"camera_internal": internal, "camera_external": rows, "width": 1242, "height": 375}
+    new = {"cameraInternal": internal, "cameraExternal": columns, "rowMajor": False}
+    return _json([old, {}]), _json(new), _json([new, old])
+
+
 def prompts() -> tuple[bytes, ...]:
     """Lists of none, one and two prompts."""
     return _json([_CAR, _CYCLIST]), _json([_CAR]), b"[]"

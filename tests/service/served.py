@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import uvicorn
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from boxlift_service.connections import Connections, protocol_class
+from boxlift_service.guards.connections import Connections, protocol_class
 from boxlift_service.settings import ServiceSettings
 
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner, Result
 
 from boxlift.errors import OptionsError
 from boxlift_client.cli.keys import keys as keys_command
-from boxlift_service.api_keys import (
+from boxlift_service.guards.api_keys import (
     MAX_FILE_BYTES,
     ApiKey,
     ApiKeys,

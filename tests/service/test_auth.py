@@ -8,9 +8,9 @@ import httpx
 import pytest
 
 from boxlift.errors import OptionsError
-from boxlift_service.api_keys import ApiKeys, add_key, new_key
-from boxlift_service.auth import AuthMiddleware, check_exposure
-from boxlift_service.body_limit import BodyLimitMiddleware
+from boxlift_service.guards.api_keys import ApiKeys, add_key, new_key
+from boxlift_service.guards.auth import AuthMiddleware, check_exposure
+from boxlift_service.guards.body_limit import BodyLimitMiddleware
 from boxlift_service.problems import ProblemDetails
 from boxlift_service.settings import ServiceSettings
 from service.served import Served, Upload, read_to_end, served

@@ -12,8 +12,8 @@ import httpx
 import pytest
 
 from boxlift.errors import OptionsError
-from boxlift_service.api_keys import ApiKey, add_key, new_key, revoke_key
 from boxlift_service.app import create_app
+from boxlift_service.guards.api_keys import ApiKey, add_key, new_key, revoke_key
 from boxlift_service.problems import ProblemDetails
 from boxlift_service.settings import ServiceSettings
 from service.frames import SmallFrame

@@ -209,7 +209,7 @@ def test_a_body_that_breaks_while_it_is_answered_ends_its_connection_alone(
 def test_the_limit_of_open_files_is_raised_as_far_as_it_goes() -> None:
     program = (
         "import logging, resource; from boxlift_service.settings import ServiceSettings\n"
-        "from boxlift_service.connections import allow_open_files; logging.basicConfig()\n"
+        "from boxlift_service.guards.connections import allow_open_files; logging.basicConfig()\n"
         "resource.setrlimit(resource.RLIMIT_NOFILE, (200, 4000))\n"
         "for most in (100, 5000, 1):\n"
         "    allow_open_files(ServiceSettings(max_connections=most))\n"

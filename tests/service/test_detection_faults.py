@@ -19,8 +19,8 @@ from boxlift.errors import MissingExtraError, ModelFileError
 from boxlift.settings import PRESETS
 from boxlift_service import ServiceSettings
 from boxlift_service.app import create_app
-from boxlift_service.detection_models import open_models
-from boxlift_service.worker_process import WorkerProcess
+from boxlift_service.detection.models import open_models
+from boxlift_service.workers.process import WorkerProcess
 from model.detector.detector_files import detector_file
 from model.stand_in_model import METADATA, stand_in_model
 from service.frames import SmallFrame, detect_parts, grey_png

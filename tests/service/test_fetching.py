@@ -16,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boxlift.errors import OptionsError
-from boxlift_service.fetching import Fetcher
-from boxlift_service.guarded_network import Address, is_allowed
 from boxlift_service.problems import Kind, ProblemError
+from boxlift_service.recognition.fetching import Fetcher
+from boxlift_service.recognition.guarded_network import Address, is_allowed
 from boxlift_service.settings import ServiceSettings
 from service.file_server import FileServer, answer, file_server
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from starlette.requests import Request
 from starlette.types import Message
 
-from boxlift_service.form import Field, read_form
+from boxlift_service.bodies.form import Field, read_form
+from boxlift_service.bodies.shared_parts import HeldBytes, Part
 from boxlift_service.problems import Kind, ProblemError
-from boxlift_service.shared_parts import HeldBytes, Part
 
 FIELDS = {"points": Field(1000, required=True), "name": Field(5)}
 

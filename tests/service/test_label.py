@@ -19,8 +19,8 @@ from boxlift.labeller import Labeller
 from boxlift.priors import SizePrior
 from boxlift_service import ServiceSettings
 from boxlift_service.answers import LabelAnswer
-from boxlift_service.decoding import decode_label_request
-from boxlift_service.shared_parts import Part
+from boxlift_service.bodies.shared_parts import Part
+from boxlift_service.labelling.decoding import decode_label_request
 from service.frames import (
     CAM_T_VELO,
     CAR,

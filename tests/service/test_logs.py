@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 
-from boxlift_service.logs import JsonFormatter, TextFormatter, of_request
+from boxlift_service.telemetry.logs import JsonFormatter, TextFormatter, of_request
 
 HOSTILE = "\r\n2026-01-01T00:00:00.000Z INFO boxlift_service: all is well\x1b[2J\u2028\x85\x00\udcff"
 
@@ -33,8 +33,8 @@ def raised(message: str) -> Exception:
 
 def lines_of(log_format: str, code: str, log_level: str = "info") -> list[str]:
     """What a process of its own writes to stderr that logs in `log_format`."""
-    configure = f"boxlift_service.logs.configure_logging({log_format!r}, {log_level!r})"
-    program = f"import boxlift_service.logs\n{configure}\n{code}"
+    configure = f"boxlift_service.telemetry.logs.configure_logging({log_format!r}, {log_level!r})"
+    program = f"import boxlift_service.telemetry.logs\n{configure}\n{code}"
     ended = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60
     )

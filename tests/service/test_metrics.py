@@ -11,8 +11,8 @@ from fastapi import FastAPI
 from prometheus_client.parser import text_string_to_metric_families
 
 import boxlift
-from boxlift_service.metrics import Metrics, PoolState, resident_bytes
 from boxlift_service.routes.metrics import metrics_routes
+from boxlift_service.telemetry.metrics import Metrics, PoolState, resident_bytes
 from service.frames import SmallFrame
 from service.running import RunningService
 from service.served import served

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boxlift_service.form import Field
-from boxlift_service.msgpack_frames import MapReader, is_msgpack, read_msgpack
+from boxlift_service.bodies.form import Field
+from boxlift_service.bodies.msgpack_frames import MapReader, is_msgpack, read_msgpack
+from boxlift_service.bodies.shared_parts import HeldBytes, Part, SharedParts
 from boxlift_service.problems import Kind, ProblemError
-from boxlift_service.shared_parts import HeldBytes, Part, SharedParts
 
 FIELDS = {"points": Field(70_000, required=True), "name": Field(5), "image": Field(70_000)}
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from boxlift_service.negotiation import negotiate
+from boxlift_service.bodies.negotiation import negotiate
 from boxlift_service.problems import Kind, ProblemError
 
 JSON, TEXT = "application/json", "text/plain"

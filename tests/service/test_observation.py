@@ -17,10 +17,10 @@ from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from boxlift_service.app import create_app
-from boxlift_service.logs import of_request
-from boxlift_service.metrics import Metrics
-from boxlift_service.observation import ObservationMiddleware
 from boxlift_service.settings import ServiceSettings
+from boxlift_service.telemetry.logs import of_request
+from boxlift_service.telemetry.metrics import Metrics
+from boxlift_service.telemetry.observation import ObservationMiddleware
 from service.served import Served, served
 from service.test_metrics import scraped
 

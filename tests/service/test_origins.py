@@ -7,8 +7,8 @@ import pytest
 from starlette.applications import Starlette
 
 from boxlift.errors import OptionsError
-from boxlift_service.body_limit import BodyLimitMiddleware
-from boxlift_service.origins import add_origin_layers, allowed_origins
+from boxlift_service.guards.body_limit import BodyLimitMiddleware
+from boxlift_service.guards.origins import add_origin_layers, allowed_origins
 from boxlift_service.problems import ProblemDetails
 from boxlift_service.settings import ServiceSettings
 from service.served import Served, Upload, served

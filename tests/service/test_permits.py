@@ -4,8 +4,8 @@ import asyncio
 
 import pytest
 
-from boxlift_service.permits import Permits
 from boxlift_service.problems import Kind, ProblemError
+from boxlift_service.workers.permits import Permits
 
 
 def test_work_beyond_the_permits_is_refused_until_some_are_back() -> None:
@@ -64,7 +64,7 @@ def test_who_waits_is_served_in_the_order_of_asking() -> None:
 
 def test_retry_after_follows_how_fast_the_work_before_was_done(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 100.0
-    monkeypatch.setattr("boxlift_service.permits.monotonic", lambda: now)
+    monkeypatch.setattr("boxlift_service.workers.permits.monotonic", lambda: now)
 
     async def scenario() -> None:
         nonlocal now

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boxlift_service.rate_limit import RateLimits
+from boxlift_service.guards.rate_limit import RateLimits
 
 
 @pytest.mark.parametrize("rate", [1, 3, 7, 60, 999, 100_000])

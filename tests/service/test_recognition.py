@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from boxlift.formats.calibration import parse_calibration
 from boxlift.formats.xtreme1 import boxes_of
-from boxlift_service.recognition_answers import RecognisedData, RecognitionAnswer
+from boxlift_service.recognition.answers import RecognisedData, RecognitionAnswer
 from model.detector.detector_files import detector_file
 from service.file_server import FileServer, answer, file_server
 from service.frames import HEIGHT, WIDTH, SmallFrame, calib_json, grey_png

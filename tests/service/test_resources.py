@@ -17,7 +17,7 @@ from boxlift.formats.prompts import parse_prompt_lists, parse_prompts
 from boxlift.settings import PRESETS, LabellerSettings, RepairSettings
 from boxlift_service.answers import DetectAnswer, LabelAnswer
 from boxlift_service.app import create_app
-from boxlift_service.detect_decoding import detect_fields
+from boxlift_service.detection.decoding import detect_fields
 from boxlift_service.problems import ProblemDetails
 from boxlift_service.settings import ServiceSettings
 from service.running import RunningService

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from boxlift_service.bodies.shared_parts import HeldBytes, Part, SharedParts
 from boxlift_service.problems import Kind, ProblemError
-from boxlift_service.shared_parts import HeldBytes, Part, SharedParts
 
 
 def open_files() -> list[str]:

@@ -20,10 +20,10 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 
 import boxlift
-from boxlift_service.metrics import Metrics
-from boxlift_service.observation import ObservationMiddleware
-from boxlift_service.timing import RequestTimes
-from boxlift_service.tracing import Tracing
+from boxlift_service.telemetry.metrics import Metrics
+from boxlift_service.telemetry.observation import ObservationMiddleware
+from boxlift_service.telemetry.timing import RequestTimes
+from boxlift_service.telemetry.tracing import Tracing
 from service.frames import SmallFrame
 from service.running import running_service
 from service.served import served
@@ -222,7 +222,7 @@ def test_missing_extra_names_itself() -> None:
     program = """
 import sys
 sys.modules["opentelemetry"] = None
-from boxlift_service.observation import start_tracing
+from boxlift_service.telemetry.observation import start_tracing
 try:
     start_tracing()
 except ImportError as error:

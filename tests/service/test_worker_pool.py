@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 
 from boxlift.errors import OptionsError
-from boxlift_service.deadline import Deadline
-from boxlift_service.metrics import Metrics
-from boxlift_service.permits import Permits
 from boxlift_service.problems import Kind, ProblemError
-from boxlift_service.worker_pool import WorkerPool
-from boxlift_service.worker_process import WorkerDiedError, WorkerProcess
+from boxlift_service.telemetry.metrics import Metrics
+from boxlift_service.workers.deadline import Deadline
+from boxlift_service.workers.permits import Permits
+from boxlift_service.workers.pool import WorkerPool
+from boxlift_service.workers.process import WorkerDiedError, WorkerProcess
 from service.worker_jobs import (
     Count,
     Nap,

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from boxlift.errors import OptionsError
-from boxlift_service.worker_process import WorkerDiedError, WorkerFaultError, WorkerProcess
+from boxlift_service.workers.process import WorkerDiedError, WorkerFaultError, WorkerProcess
 from service.worker_jobs import (
     Count,
     Echo,

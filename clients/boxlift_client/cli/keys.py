@@ -38,7 +38,7 @@ def new(
     ] = None,
 ) -> None:
     """Make a key and print it, this once: only its hash is kept. A running service takes it up by itself."""
-    from boxlift_service.api_keys import add_key, new_key
+    from boxlift_service.guards.api_keys import add_key, new_key
 
     secret, key = new_key(name, requests_per_minute)
     if file is None:
@@ -51,7 +51,7 @@ def new(
 @keys.command("list")
 def list_keys(file: FileOption) -> None:
     """List names of keys, how their hashes begin, and their limits."""
-    from boxlift_service.api_keys import read_keys
+    from boxlift_service.guards.api_keys import read_keys
 
     for key in read_keys(file):
         rate = key.requests_per_minute
@@ -62,6 +62,6 @@ def list_keys(file: FileOption) -> None:
 @keys.command()
 def revoke(name: NameArgument, file: FileOption) -> None:
     """Remove a key; a running service refuses it within a second."""
-    from boxlift_service.api_keys import revoke_key
+    from boxlift_service.guards.api_keys import revoke_key
 
     revoke_key(file, name)

@@ -5,17 +5,18 @@ from __future__ import annotations
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from boxlift_service import documentation, timing
 from boxlift_service.answers import DetectAnswer
-from boxlift_service.deadline import Deadline, unless_gone
-from boxlift_service.detect_decoding import detect_fields
-from boxlift_service.detection import Detection
-from boxlift_service.detection_tasks import DetectedImages, DetectTask
-from boxlift_service.form import read_form
-from boxlift_service.metrics import Metrics
-from boxlift_service.negotiation import negotiate
+from boxlift_service.bodies.form import read_form
+from boxlift_service.bodies.negotiation import negotiate
+from boxlift_service.bodies.shared_parts import HeldBytes
+from boxlift_service.detection.decoding import detect_fields
+from boxlift_service.detection.detection import Detection
+from boxlift_service.detection.tasks import DetectedImages, DetectTask
+from boxlift_service.documentation import documentation
 from boxlift_service.settings import ServiceSettings
-from boxlift_service.shared_parts import HeldBytes
+from boxlift_service.telemetry import timing
+from boxlift_service.telemetry.metrics import Metrics
+from boxlift_service.workers.deadline import Deadline, unless_gone
 
 JSON = "application/json"
 TEXT = "text/plain"

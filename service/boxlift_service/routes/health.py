@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from fastapi import APIRouter
 
-from boxlift_service import documentation
 from boxlift_service.answers import StatusAnswer
+from boxlift_service.documentation import documentation
 from boxlift_service.lifecycle import Lifecycle
 from boxlift_service.problems import Kind, ProblemError
-from boxlift_service.worker_pool import WorkerPool
+from boxlift_service.workers.pool import WorkerPool
 
 
 def health_routes(pools: Sequence[WorkerPool], lifecycle: Lifecycle) -> APIRouter:

@@ -5,18 +5,19 @@ from __future__ import annotations
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from boxlift_service import documentation, timing
 from boxlift_service.answers import LabelAnswer
-from boxlift_service.deadline import Deadline, unless_gone
-from boxlift_service.decoding import label_fields
-from boxlift_service.form import read_form
-from boxlift_service.label_tasks import AnswerFormat
-from boxlift_service.labelling import Labelling
-from boxlift_service.metrics import Metrics
-from boxlift_service.msgpack_frames import is_msgpack, read_msgpack
-from boxlift_service.negotiation import negotiate
+from boxlift_service.bodies.form import read_form
+from boxlift_service.bodies.msgpack_frames import is_msgpack, read_msgpack
+from boxlift_service.bodies.negotiation import negotiate
+from boxlift_service.bodies.shared_parts import HeldBytes
+from boxlift_service.documentation import documentation
+from boxlift_service.labelling.decoding import label_fields
+from boxlift_service.labelling.labelling import Labelling
+from boxlift_service.labelling.tasks import AnswerFormat
 from boxlift_service.settings import ServiceSettings
-from boxlift_service.shared_parts import HeldBytes
+from boxlift_service.telemetry import timing
+from boxlift_service.telemetry.metrics import Metrics
+from boxlift_service.workers.deadline import Deadline, unless_gone
 
 TEXT = AnswerFormat.TEXT.value
 

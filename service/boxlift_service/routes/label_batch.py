@@ -9,12 +9,12 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from boxlift_service import batch_documentation
 from boxlift_service.batch import PATH, Batch, BatchService
-from boxlift_service.deadline import Deadline
-from boxlift_service.msgpack_frames import MEDIA_TYPE, is_msgpack
-from boxlift_service.negotiation import negotiate
+from boxlift_service.bodies.msgpack_frames import MEDIA_TYPE, is_msgpack
+from boxlift_service.bodies.negotiation import negotiate
+from boxlift_service.documentation import batch_documentation
 from boxlift_service.problems import Kind, ProblemError
+from boxlift_service.workers.deadline import Deadline
 
 NDJSON = "application/x-ndjson"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter
 from starlette.responses import Response
 
-from boxlift_service.metrics import Metrics
+from boxlift_service.telemetry.metrics import Metrics
 
 
 def metrics_routes(metrics: Metrics) -> APIRouter:

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from fastapi import APIRouter
 
 from boxlift.settings import DEFAULT_PRESET, LabellerSettings
-from boxlift_service import documentation
 from boxlift_service.answers import LabellerModel, ModelsAnswer, OnnxModelAnswer
-from boxlift_service.detection import Detection
-from boxlift_service.detection_models import ModelInfo
+from boxlift_service.detection.detection import Detection
+from boxlift_service.detection.models import ModelInfo
+from boxlift_service.documentation import documentation
 from boxlift_service.problems import Kind
 
 

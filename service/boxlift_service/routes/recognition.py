@@ -11,16 +11,17 @@ from starlette.responses import Response
 
 from boxlift.errors import InputError
 from boxlift.formats.json_text import parse_json
-from boxlift_service import documentation, timing
-from boxlift_service.deadline import Deadline, unless_gone
-from boxlift_service.fetching import Fetcher
-from boxlift_service.labelling import Labelling
-from boxlift_service.metrics import Metrics
+from boxlift_service.bodies.shared_parts import HeldBytes
+from boxlift_service.documentation import documentation
+from boxlift_service.labelling.labelling import Labelling
 from boxlift_service.problems import Kind, ProblemError
-from boxlift_service.recognition import Recognition
-from boxlift_service.recognition_answers import REQUEST_BODY, RecognitionAnswer
+from boxlift_service.recognition.answers import REQUEST_BODY, RecognitionAnswer
+from boxlift_service.recognition.fetching import Fetcher
+from boxlift_service.recognition.recognition import Recognition
 from boxlift_service.settings import ServiceSettings
-from boxlift_service.shared_parts import HeldBytes
+from boxlift_service.telemetry import timing
+from boxlift_service.telemetry.metrics import Metrics
+from boxlift_service.workers.deadline import Deadline, unless_gone
 
 PATH = "/pointCloud/recognition"
 JSON = "application/json"

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from boxlift.settings import LabellerSettings
-from boxlift_service import problems, timing
-from boxlift_service.observation import REQUEST_ID_HEADER
+from boxlift_service import problems
 from boxlift_service.problems import Kind, ProblemDetails
+from boxlift_service.telemetry import timing
+from boxlift_service.telemetry.observation import REQUEST_ID_HEADER
 
 _CALIB_JSON_EXAMPLE = """{"P2": [[721.5, 0, 609.6, 44.9], [0, 721.5, 172.9, 0.2], [0, 0, 1, 0.003]],
  "cam_T_velo": [[0, -1, 0, 0], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1]],

@@ -14,9 +14,9 @@ from boxlift.formats.calibration import ParsedCalibration, parse_calibration
 from boxlift.formats.image import decode_image
 from boxlift.formats.prompts import parse_prompt_lists
 from boxlift.frame import Prompt
-from boxlift_service.form import Field
+from boxlift_service.bodies.form import Field
+from boxlift_service.bodies.shared_parts import Part
 from boxlift_service.settings import ServiceSettings
-from boxlift_service.shared_parts import Part
 
 DEFAULT_NAME = "frame"
 

@@ -15,7 +15,7 @@ from starlette.datastructures import Headers
 from starlette.types import Scope
 
 import boxlift
-from boxlift_service.timing import RequestTimes
+from boxlift_service.telemetry.timing import RequestTimes
 
 _LAST_FLUSH_S = 5.0
 _MAX_LENGTH = 256

@@ -12,9 +12,9 @@ import asyncio
 from collections.abc import AsyncIterator, Mapping
 from time import monotonic
 
-from boxlift_service.form import Field
+from boxlift_service.bodies.form import Field
+from boxlift_service.bodies.shared_parts import HeldBytes, SharedParts
 from boxlift_service.problems import Kind, ProblemError
-from boxlift_service.shared_parts import HeldBytes, SharedParts
 
 MEDIA_TYPE = "application/msgpack"
 _MEDIA_TYPES = (MEDIA_TYPE, "application/vnd.msgpack", "application/x-msgpack")

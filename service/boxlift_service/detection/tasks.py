@@ -18,11 +18,11 @@ from boxlift.frame import FrameLabels, Prompt
 from boxlift.monocular import Monocular
 from boxlift.stage_times import StageTimes
 from boxlift_service.answers import UsedModel, detect_answer_of
-from boxlift_service.decoding import labeller_settings
-from boxlift_service.detect_decoding import ImageRequest, decode_detect_request
-from boxlift_service.detection_models import Models
+from boxlift_service.bodies.shared_parts import PartsIndex
+from boxlift_service.detection.decoding import ImageRequest, decode_detect_request
+from boxlift_service.detection.models import Models
+from boxlift_service.options import labeller_settings
 from boxlift_service.settings import ServiceSettings
-from boxlift_service.shared_parts import PartsIndex
 
 
 @dataclass(frozen=True)

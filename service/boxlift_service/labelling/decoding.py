@@ -13,20 +13,19 @@ from boxlift.errors import (
     CalibrationError,
     ImageError,
     InputError,
-    OptionsError,
     PointCloudError,
     PromptError,
 )
 from boxlift.formats.calibration import parse_calibration
 from boxlift.formats.image import decode_instance_ids, image_size
-from boxlift.formats.json_text import parse_json
 from boxlift.formats.point_cloud import decode_points
 from boxlift.formats.prompts import parse_prompts
 from boxlift.frame import Frame, Prompt
-from boxlift.settings import DEFAULT_PRESET, LabellerSettings
-from boxlift_service.form import Field
+from boxlift.settings import LabellerSettings
+from boxlift_service.bodies.form import Field
+from boxlift_service.bodies.shared_parts import Part
+from boxlift_service.options import labeller_settings
 from boxlift_service.settings import ServiceSettings
-from boxlift_service.shared_parts import Part
 
 DEFAULT_NAME = "frame"
 _LONGEST_NAME = 200
@@ -102,22 +101,6 @@ def _prompts(parts: Mapping[str, Part], limits: ServiceSettings) -> tuple[Prompt
             "Send the field image, or prompts.",
         )
     return ()
-
-
-def labeller_settings(part: Part | None, presets: Mapping[str, LabellerSettings]) -> LabellerSettings:
-    """{"preset": name, group: {setting: value}} -> settings; what is left out is as the preset has it.
-
-    Raises OptionsError.
-    """
-    options = parse_json(part.data, "options", OptionsError) if part else {}
-    if not isinstance(options, dict):
-        raise OptionsError(
-            "options", f"the JSON is no object ({options!r:.60}).", 'Give e.g. {"preset": "paper"}.'
-        )
-    name = str(options.pop("preset", DEFAULT_PRESET))
-    if name not in presets:
-        raise OptionsError("options.preset", f"{name!r} is no preset.", f"Choose one of {sorted(presets)}.")
-    return presets[name].with_options(options)
 
 
 def _image_size(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from boxlift_service.deadline import Deadline
-from boxlift_service.detection import Detection
-from boxlift_service.detection_tasks import FindPromptsTask
-from boxlift_service.label_tasks import AnswerFormat, LabelledFrame, LabelTask
-from boxlift_service.shared_parts import SharedParts
-from boxlift_service.timing import RequestTimes
-from boxlift_service.worker_pool import WorkerPool
+from boxlift_service.bodies.shared_parts import SharedParts
+from boxlift_service.detection.detection import Detection
+from boxlift_service.detection.tasks import FindPromptsTask
+from boxlift_service.labelling.tasks import AnswerFormat, LabelledFrame, LabelTask
+from boxlift_service.telemetry.timing import RequestTimes
+from boxlift_service.workers.deadline import Deadline
+from boxlift_service.workers.pool import WorkerPool
 
 # A permit is a million objects x points. Every frame costs something, and its points are known by their
 # bytes: 16 a return in KITTI's .bin, about as many in all other formats.

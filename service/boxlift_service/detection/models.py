@@ -16,8 +16,8 @@ from boxlift.formats.image import decode_image
 from boxlift.frame import Prompt
 from boxlift.monocular import Monocular
 from boxlift.settings import LabellerSettings
-from boxlift_service.logs import configure_logging
 from boxlift_service.settings import ENVIRONMENT_PREFIX, ServiceSettings
+from boxlift_service.telemetry.logs import configure_logging
 
 T = TypeVar("T")
 

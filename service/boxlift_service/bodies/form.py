@@ -15,8 +15,8 @@ from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.requests import Request
 
+from boxlift_service.bodies.shared_parts import HeldBytes, SharedParts
 from boxlift_service.problems import Kind, ProblemError
-from boxlift_service.shared_parts import HeldBytes, SharedParts
 
 if TYPE_CHECKING:
     from python_multipart.multipart import MultipartCallbacks

@@ -15,11 +15,11 @@ from time import monotonic, perf_counter
 from typing import Any, Literal
 
 from boxlift.errors import BoxliftError
-from boxlift_service.deadline import Deadline
-from boxlift_service.metrics import Metrics, PoolState
-from boxlift_service.permits import Permits
 from boxlift_service.problems import Kind, ProblemError
-from boxlift_service.worker_process import (
+from boxlift_service.telemetry.metrics import Metrics, PoolState
+from boxlift_service.workers.deadline import Deadline
+from boxlift_service.workers.permits import Permits
+from boxlift_service.workers.process import (
     BEAT_S,
     WorkerDiedError,
     WorkerFaultError,

@@ -11,9 +11,9 @@ from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from boxlift.errors import OptionsError
-from boxlift_service.api_keys import ApiKey, ApiKeys
+from boxlift_service.guards.api_keys import ApiKey, ApiKeys
+from boxlift_service.guards.rate_limit import RateLimits
 from boxlift_service.problems import Kind, ProblemError
-from boxlift_service.rate_limit import RateLimits
 from boxlift_service.settings import ServiceSettings
 
 OnRefused = Callable[[str], None]

@@ -22,8 +22,8 @@ import httpcore
 import httpx
 
 from boxlift.errors import OptionsError
-from boxlift_service.guarded_network import GuardedNetwork, Resolve, system_addresses
 from boxlift_service.problems import Kind, ProblemError
+from boxlift_service.recognition.guarded_network import GuardedNetwork, Resolve, system_addresses
 from boxlift_service.settings import ServiceSettings
 
 _log = logging.getLogger(__name__)

@@ -12,8 +12,8 @@ from typing import Any
 
 from boxlift.errors import BoxliftError, ModelFileError
 from boxlift.settings import LabellerSettings
-from boxlift_service.deadline import Deadline
-from boxlift_service.detection_models import (
+from boxlift_service.bodies.shared_parts import SharedParts
+from boxlift_service.detection.models import (
     ModelInfo,
     Models,
     NoModelError,
@@ -21,13 +21,13 @@ from boxlift_service.detection_models import (
     open_models,
     require_given,
 )
-from boxlift_service.metrics import Metrics
-from boxlift_service.permits import Permits
 from boxlift_service.problems import Kind, ProblemError
 from boxlift_service.settings import ServiceSettings
-from boxlift_service.shared_parts import SharedParts
-from boxlift_service.worker_pool import WorkerPool
-from boxlift_service.worker_process import WorkerDiedError, WorkerFaultError, WorkerProcess
+from boxlift_service.telemetry.metrics import Metrics
+from boxlift_service.workers.deadline import Deadline
+from boxlift_service.workers.permits import Permits
+from boxlift_service.workers.pool import WorkerPool
+from boxlift_service.workers.process import WorkerDiedError, WorkerFaultError, WorkerProcess
 
 _log = logging.getLogger("boxlift_service")
 

@@ -13,15 +13,15 @@ from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from boxlift.errors import MissingExtraError
-from boxlift_service import logs
-from boxlift_service.metrics import CLIENT_GONE, Metrics
 from boxlift_service.problems import Kind, ProblemError
-from boxlift_service.timing import RequestTimes
+from boxlift_service.telemetry import logs
+from boxlift_service.telemetry.metrics import CLIENT_GONE, Metrics
+from boxlift_service.telemetry.timing import RequestTimes
 
 if TYPE_CHECKING:
     from opentelemetry.trace import Span
 
-    from boxlift_service.tracing import Tracing
+    from boxlift_service.telemetry.tracing import Tracing
 
 REQUEST_ID_HEADER = "X-Request-ID"
 OTHER = "other"
@@ -38,7 +38,7 @@ _log = logging.getLogger("boxlift_service.requests")
 def start_tracing() -> Tracing:
     """Traces as the OTEL_* variables have them. Raises MissingExtraError without the extra `otel`."""
     try:
-        from boxlift_service.tracing import Tracing
+        from boxlift_service.telemetry.tracing import Tracing
     except ModuleNotFoundError as error:
         raise MissingExtraError(error.name or "opentelemetry-sdk", "otel") from None
     return Tracing()

@@ -11,7 +11,7 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from boxlift.errors import OptionsError
-from boxlift_service.auth import OnRefused, is_loopback
+from boxlift_service.guards.auth import OnRefused, is_loopback
 from boxlift_service.problems import Kind, ProblemError
 from boxlift_service.settings import ServiceSettings
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from boxlift_service import documentation
-from boxlift_service.observation import REQUEST_ID_HEADER
+from boxlift_service.documentation import documentation
 from boxlift_service.problems import Kind
+from boxlift_service.telemetry.observation import REQUEST_ID_HEADER
 
 _EXAMPLE = """{"frame": "000124", "index": 1, "status": 200, "answer": {"frame": "000124", ...}}
 {"frame": "000123", "index": 0, "status": 422, "problem": {"type": "urn:boxlift:problem:invalid-field", ...}}

@@ -13,10 +13,10 @@ from boxlift.frame import FrameLabels
 from boxlift.labeller import Labeller
 from boxlift.stage_times import StageTimes
 from boxlift_service.answers import label_answer_of
-from boxlift_service.decoding import LabelRequest, decode_label_request
-from boxlift_service.detection_tasks import FoundPrompts
-from boxlift_service.label_worker import LabelWorker
-from boxlift_service.shared_parts import PartsIndex
+from boxlift_service.bodies.shared_parts import PartsIndex
+from boxlift_service.detection.tasks import FoundPrompts
+from boxlift_service.labelling.decoding import LabelRequest, decode_label_request
+from boxlift_service.labelling.worker import LabelWorker
 
 
 class AnswerFormat(StrEnum):

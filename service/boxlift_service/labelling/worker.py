@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from boxlift.settings import LabellerSettings
-from boxlift_service.logs import configure_logging
+from boxlift_service.labelling.warm_up import warm_up
 from boxlift_service.settings import ServiceSettings
-from boxlift_service.warm_up import warm_up
+from boxlift_service.telemetry.logs import configure_logging
 
 
 @dataclass(frozen=True)

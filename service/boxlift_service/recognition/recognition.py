@@ -21,15 +21,15 @@ from boxlift.camera import Calibration
 from boxlift.errors import CalibrationError, InputError
 from boxlift.formats.calibration import to_kitti_text
 from boxlift.formats.xtreme1 import Xtreme1Object, Xtreme1Results, merged, parse_camera_config
-from boxlift_service.deadline import Deadline
-from boxlift_service.fetching import Fetcher
-from boxlift_service.label_tasks import AnswerFormat, LabelledFrame
-from boxlift_service.labelling import Labelling
+from boxlift_service.bodies.shared_parts import HeldBytes, Part, SharedParts
+from boxlift_service.labelling.labelling import Labelling
+from boxlift_service.labelling.tasks import AnswerFormat, LabelledFrame
 from boxlift_service.problems import Kind, ProblemError
-from boxlift_service.recognition_answers import RecognisedData, failed, recognised
+from boxlift_service.recognition.answers import RecognisedData, failed, recognised
+from boxlift_service.recognition.fetching import Fetcher
 from boxlift_service.settings import ServiceSettings
-from boxlift_service.shared_parts import HeldBytes, Part, SharedParts
-from boxlift_service.timing import RequestTimes
+from boxlift_service.telemetry.timing import RequestTimes
+from boxlift_service.workers.deadline import Deadline
 
 _log = logging.getLogger(__name__)
 

@@ -1,0 +1,1 @@
+"""What comes in: forms and msgpack, into shared memory."""

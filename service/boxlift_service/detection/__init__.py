@@ -1,0 +1,1 @@
+"""POST /detect, and the prompts that are found for POST /label."""

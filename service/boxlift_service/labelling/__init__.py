@@ -1,0 +1,1 @@
+"""POST /label, from its parts to its answer."""

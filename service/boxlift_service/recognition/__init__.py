@@ -1,0 +1,1 @@
+"""POST /pointCloud/recognition: fetched sweeps, labelled per camera, merged."""
