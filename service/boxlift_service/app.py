@@ -1,4 +1,4 @@
-"""The ASGI application: routes, problems and the two layers around them."""
+"""The ASGI application: routes, problems and the layers around them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from boxlift_service.guards.body_limit import BodyLimitMiddleware
 from boxlift_service.guards.origins import add_origin_layers
 from boxlift_service.labelling.labelling import Labelling
 from boxlift_service.labelling.worker import LabelWorker, open_label_worker
-from boxlift_service.lifecycle import Lifecycle
+from boxlift_service.lifecycle import LeaveWhileDrainingMiddleware, Lifecycle
 from boxlift_service.problems import ProblemError, on_http_exception, on_input_error, on_problem
 from boxlift_service.routes.detect import detect_routes
 from boxlift_service.routes.health import health_routes
@@ -123,6 +123,7 @@ def create_app(
         app.add_middleware(AuthMiddleware, keys=keys, settings=settings, on_refused=on_refused)
     add_origin_layers(app, settings, on_refused)
     streamed = {f"{version}/label:batch" for version in ("", f"/v{API_VERSION}")}
+    app.add_middleware(LeaveWhileDrainingMiddleware, lifecycle=lifecycle)
     app.add_middleware(BodyLimitMiddleware, settings=settings, streamed=streamed)
     routed = [route for routes in resources for route in routes.routes]
     paths = {"/openapi.json", *(route.path for route in routed if isinstance(route, Route))}

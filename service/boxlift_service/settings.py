@@ -69,7 +69,7 @@ class ServiceSettings(BaseModel):
         60.0, gt=0, le=3600, description="Longest computing of a request; its worker is replaced beyond it."
     )
     silence_s: float = Field(
-        4.0, ge=1, le=600, description="A worker that is not heard from for this long is replaced."
+        3.0, ge=1, le=600, description="A worker that is not heard from for this long is replaced."
     )
     max_held_bytes: int = Field(
         2**30, ge=2**20, description="Most bytes of all bodies together that are held; 429 beyond it."

@@ -182,7 +182,9 @@ def test_a_shutdown_drains_and_answers_what_was_accepted(frame: SmallFrame) -> N
             while (answer := service.client.get("/readyz")).status_code == 200:
                 assert time.monotonic() < end
             assert_problem(answer, 503, None, "about to end")
-            assert service.client.get("/healthz").status_code == 200
+            healthy = service.client.get("/healthz")
+            assert healthy.status_code == 200
+            assert healthy.headers["connection"] == "close"
             time.sleep(2.5)  # its port is closed by now
             with pytest.raises(httpx.ConnectError):
                 httpx.get(f"{service.url}/healthz")
