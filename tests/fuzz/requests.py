@@ -30,7 +30,7 @@ _ACCEPT = (
     *("application/json", "text/plain", "application/x-ndjson", "*/*", "text/html", "application/json;q=0"),
     *("a/b;q=x", ";", ",,,", "application/*;q=0.1, text/plain;q=1e400", "*/*;" * 500),
 )
-_TIMEOUTS = ("0.001", "0", "-1", "nan", "1e400", "abc", "5", "1_0", " 3 ", "9" * 400)
+_TIMEOUTS = ("0.001", "0", "-1", "nan", "1e400", "abc", "5", "1_0", "3;4", "9" * 400)
 _WILD = (0, 1, -1, 0.5, 1e-300, -1e300, 1e300, 65_535, 1e8, -1e8, 1e5, 2**31, 2**63, 1e-9, 3.14159)
 # They only say how long to compute.
 _WORK_SETTINGS = {"iterations", "adam_steps", "grid_steps", "beam_width", "levels", "sample_count"}
@@ -84,7 +84,7 @@ def _detect(random: Random) -> tuple[str, bytes, dict[str, bytes]]:
     parts: list[tuple[str, bytes]] = [
         ("image", _image(random)) for _ in range(random.choice((1, 1, 1, 2, 3)))
     ]
-    parts.append(("calib", _calib(random, "calib-camera")))
+    parts.append(("calib", _calib(random, "calib-camera", random.random() < 0.1)))
     if random.random() < 0.5:
         lists = [_wild([CAR], random) for _ in parts[:-1]]
         parts.append(("prompts", _maybe_damaged(json.dumps(lists).encode(), "prompt-lists", random)))
@@ -134,11 +134,13 @@ def _recognition(random: Random, store_url: str) -> tuple[str, bytes, dict[str, 
 
 
 def _frame_fields(random: Random) -> dict[str, bytes]:
-    fields = {"points": _points(random), "calib": _calib(random, "calib-json")}
-    if random.random() < 0.85:
+    has_image = random.random() < 0.25
+    fields = {"points": _points(random)}
+    fields["calib"] = _calib(random, "calib-json", random.random() < (0.1 if has_image else 0.95))
+    if random.random() < (0.6 if has_image else 0.95):
         prompts = json.dumps(_wild([CAR] * random.choice((0, 1, 1, 2)), random)).encode()
         fields["prompts"] = _maybe_damaged(prompts, "prompts", random)
-    if random.random() < 0.25:
+    if has_image:
         fields["image"] = _image(random)
     if random.random() < 0.2:
         masks = mask_png(540, 180, 660, 260) if random.random() < 0.7 else random.choice(seeds.masks())
@@ -176,10 +178,12 @@ def _points(random: Random) -> bytes:
     return _maybe_damaged(stream.getvalue(), "npy", random, 0.05)
 
 
-def _calib(random: Random, decoder: str) -> bytes:
+def _calib(random: Random, decoder: str, with_size: bool) -> bytes:
     if random.random() < 0.1:
         return _maybe_damaged(random.choice(seeds.calibration_text()), "calib-text", random)
-    calib = {"P2": P2, "cam_T_velo": CAM_T_VELO, "image_size": [WIDTH, HEIGHT]}
+    calib: Json = {"P2": P2, "cam_T_velo": CAM_T_VELO, "image_size": [WIDTH, HEIGHT]}
+    if not with_size:
+        del calib["image_size"]
     return _maybe_damaged(json.dumps(_wild(calib, random, 0.01)).encode(), decoder, random, 0.06)
 
 
