@@ -36,8 +36,7 @@ def main() -> int:
         print(f"| {label} | {report.cases} | {statuses} | {len(report.findings)} |", flush=True)
 
     start = time.monotonic()
-    with fuzzed_service() as (service, store):
-        fuzzer = ApiFuzzer(service.url, store, arguments.seed)
+    with fuzzed_service() as (service, store), ApiFuzzer(service.url, store, arguments.seed) as fuzzer:
         fuzzer.run(arguments.cases, tell)
     reports = fuzzer.reports.values()
     print(f"{sum(report.cases for report in reports)} cases in {time.monotonic() - start:.0f} s")

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from http.client import HTTPConnection
 from random import Random
-from typing import Any
+from typing import Any, Self
 
 import httpx
 import hypothesis
@@ -128,6 +128,13 @@ class ApiFuzzer:
         self._client = httpx.Client(base_url=url, timeout=120)
         self._session = requests.Session()
         self.reports = {label: RouteReport() for label in (*self._operations, "anything else")}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._client.close()
+        self._session.close()
 
     def run(self, cases: int, on_route: Callable[[str, RouteReport], None] = lambda *_: None) -> None:
         """About so many cases over all routes."""

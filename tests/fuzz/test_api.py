@@ -8,8 +8,7 @@ CASES = 400
 
 
 def test_every_answer_is_as_documented_and_none_is_a_5xx() -> None:
-    with fuzzed_service() as (service, store):
-        fuzzer = ApiFuzzer(service.url, store)
+    with fuzzed_service() as (service, store), ApiFuzzer(service.url, store) as fuzzer:
         fuzzer.run(CASES)
         assert service.client.get("/readyz").status_code == 200
     assert [finding for report in fuzzer.reports.values() for finding in report.findings] == []
