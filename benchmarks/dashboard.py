@@ -3,8 +3,9 @@
     python benchmarks/dashboard.py [--seconds 90] [--out panels.html] [--url URL --key KEY]
 
 Needs the program `prometheus` (Debian's package of that name). Without --url it starts a service that asks
-for keys, and kills a worker on the way. Ends with status 1 where an expression gives no data. The page shows
-the panels where the dashboard has them, drawn from what Prometheus answered: Grafana itself is not needed.
+for keys, and kills a worker on the way; with it, alerts about what did not happen have no data. Ends with
+status 1 where an expression gives none. The page shows the panels where the dashboard has them, drawn from
+what Prometheus answered: Grafana itself is not needed.
 """
 
 from __future__ import annotations
