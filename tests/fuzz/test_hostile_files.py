@@ -255,11 +255,19 @@ def test_a_jpeg_of_many_segments(segment: bytes) -> None:
         image_size(data[:2] + segment * 2000 + data[2:])
 
 
-def test_a_jpeg_with_junk_between_its_segments() -> None:
+@pytest.mark.parametrize("junk", [bytes(100_000), b"\xff" * 100_000, b"\xff\x00\xff\xd0ab" * 9])
+def test_junk_between_the_segments_of_a_jpeg_is_passed_over(junk: bytes) -> None:
     data = jpeg()
-    with pytest.raises(ImageError, match="damaged segment"):
-        image_size(data[:20] + bytes(100_000) + data[20:])
-    assert decode_image(data[:20] + b"\xff" * 100_000 + data[20:]).shape == (24, 40, 3)
+    np.testing.assert_array_equal(decode_image(data[:20] + junk + data[20:]), decode_image(data))
+
+
+@pytest.mark.parametrize(
+    "segment", [b"\xff\x01\x00\x02", b"\xff\xe0\x00\x01", b"\xff\xc0\x00\x03\x08", b"\xff\xd8"]
+)
+def test_damaged_segments_of_a_jpeg(segment: bytes) -> None:
+    data = jpeg()
+    with pytest.raises(ImageError, match="damaged segment at byte 20"):
+        image_size(data[:20] + segment + data[20:])
 
 
 def test_what_a_jpeg_carries_besides_its_pixels_changes_nothing() -> None:

@@ -24,13 +24,12 @@ _MOST_SCANS = 32
 
 _PNG_PIXEL_CHUNKS = (b"IHDR", b"PLTE", b"IDAT", b"IEND")
 _DHT, _DAC, _DQT, _DRI, _SOS = 0xC4, 0xCC, 0xDB, 0xDD, 0xDA
-_RST0, _SOI, _EOI = 0xD0, 0xD8, 0xD9
+_SOI, _EOI, _LEAST_MARKER = 0xD8, 0xD9, 0xC0
 _APP0_JFIF, _APP14_ADOBE = 0xE0, 0xEE  # they say which colours there are
 _SOF = frozenset(range(0xC0, 0xD0)) - {_DHT, 0xC8, _DAC}
 _JPEG_PIXEL_SEGMENTS = {*_SOF, _DHT, _DAC, _DQT, _DRI, _SOS, _EOI, _APP0_JFIF, _APP14_ADOBE}
-# The end of a scan's data: a marker that is neither a stuffed byte nor a restart.
+# Neither a stuffed byte nor a restart: the beginning of a segment, and so the end of a scan's data.
 _NEXT_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
-_FILL = re.compile(rb"\xff+")
 
 
 @dataclass(frozen=True)
@@ -101,17 +100,17 @@ def _jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
     """Marker, start and end of each segment; that of a scan has its data with it, the last one is EOI."""
     at = 2
     for _ in _counted(data):
-        fill = _FILL.match(data, at)
-        if fill is None or fill.end() + 3 > len(data):
-            if data[at : at + 2] == b"\xff\xd9":
-                yield _EOI, at, at + 2
+        found = _NEXT_MARKER.search(data, at)  # past fill bytes, and what does not belong there
+        if found is None:
             return
-        start = fill.end() - 1
-        marker, size = struct.unpack_from(">BH", data, fill.end())
+        start, marker = found.start(), data[found.end() - 1]
         if marker == _EOI:
             yield _EOI, start, start + 2
             return
-        if marker < 0xC0 or _RST0 <= marker <= _SOI or size < 2 or (marker in _SOF and size < 8):
+        if start + 4 > len(data):
+            return
+        size = int.from_bytes(data[start + 2 : start + 4])
+        if marker < _LEAST_MARKER or marker == _SOI or size < (8 if marker in _SOF else 2):
             raise ValueError(f"the JPEG has a damaged segment at byte {start}")
         end = start + 2 + size
         if end > len(data):
@@ -121,8 +120,6 @@ def _jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
             end = following.start() if following else len(data)
         yield marker, start, end
         at = end
-        if at < len(data) and data[at] != 0xFF:
-            raise ValueError(f"the JPEG has a damaged segment at byte {start}")
 
 
 def _counted(data: bytes) -> Iterator[int]:
