@@ -50,6 +50,12 @@ bench: $(READY)
 	$(BIN)/python benchmarks/detect_http.py
 	$(BIN)/python benchmarks/backbones.py
 	$(BIN)/python benchmarks/monocular_cameras.py
+	$(BIN)/python benchmarks/load.py --soak 600
+	$(BIN)/python benchmarks/faults.py
+	$(BIN)/python benchmarks/peer.py
+	$(BIN)/python benchmarks/micro_batches.py
+	$(BIN)/python benchmarks/fuzz_decoders.py
+	$(BIN)/python benchmarks/fuzz_api.py
 
 clean:
 	rm -rf $(VENV) demo dist

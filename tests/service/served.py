@@ -71,6 +71,7 @@ def served(app: ASGIApp, settings: ServiceSettings | None = None) -> Iterator[Se
         ws="none",
         lifespan="off",
         log_config=None,
+        access_log=False,
         timeout_keep_alive=settings.keep_alive_s,
         timeout_graceful_shutdown=5,
     )

@@ -152,7 +152,8 @@ def test_server_timing_tells_every_stage(service: RunningService) -> None:
     stages = dict(stage.split(";dur=") for stage in header.split(", "))
     assert list(stages) == ["receive", "queue", "decode", "resize", "network", "encode", "total"]
     durations = {name: float(duration) for name, duration in stages.items()}
-    assert sum(durations.values()) == pytest.approx(2 * durations["total"], rel=0.1)
+    stages_ms = sum(durations.values()) - durations["total"]
+    assert durations["network"] < stages_ms < durations["total"]
 
 
 def test_concurrent_requests_get_their_own_answers(service: RunningService) -> None:

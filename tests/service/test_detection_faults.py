@@ -38,7 +38,7 @@ def own_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def own(own_model: Path) -> Iterator[RunningService]:
     """A service whose processes may be hurt."""
-    with running_service(model=str(own_model)) as running:
+    with running_service(model=str(own_model), silence_s="60") as running:
         yield running
 
 
@@ -49,24 +49,33 @@ def wait_for(what: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
-def test_a_worker_that_is_killed_with_a_request(own: RunningService, frame: SmallFrame) -> None:
+def test_work_that_a_worker_had_not_begun_is_done_by_the_next(own: RunningService, frame: SmallFrame) -> None:
     (worker,) = own.workers("detect")
-    os.kill(worker, signal.SIGSTOP)  # so that it certainly has the request
+    os.kill(worker, signal.SIGSTOP)  # so that it certainly does not begin
     with ThreadPoolExecutor(2) as pool:
-        lost = pool.submit(own.detect, detect_parts(grey_png()))
-        waiting = pool.submit(own.detect, detect_parts(grey_png()))
+        answers = [pool.submit(own.detect, detect_parts(grey_png())) for _ in range(2)]
         time.sleep(0.5)
         labelled = own.label(frame.fields())
         assert labelled.json()["objects"][0]["result"] == "FITTED"
-        assert not lost.done()
+        assert not any(answer.done() for answer in answers)
         os.kill(worker, signal.SIGKILL)
-        answers = sorted((lost.result(), waiting.result()), key=lambda answer: answer.status_code)
-    assert answers[0].status_code == 200  # it waited its turn, and lost nothing
-    assert_problem(answers[1], 500, None, "ended by SIGKILL")
-    assert answers[1].json()["type"] == "urn:boxlift:problem:worker-died"
-    assert own.detect(detect_parts(grey_png())).status_code == 200
+        assert [answer.result().status_code for answer in answers] == [200, 200]
     assert own.label(frame.fields()).status_code == 200
     assert worker not in own.workers("detect")
+
+
+def test_a_request_that_its_worker_died_with_is_told_so(own: RunningService) -> None:
+    many = detect_parts(*[grey_png(width=4000, height=4000)] * 16)
+    with ThreadPoolExecutor(2) as pool:
+        lost = pool.submit(own.detect, many)
+        running = 'boxlift_running_requests{pool="detect"} 1.0'
+        wait_for(lambda: running in own.client.get("/metrics").text)
+        time.sleep(0.2)
+        waiting = pool.submit(own.detect, detect_parts(grey_png()))
+        os.kill(own.workers("detect")[0], signal.SIGKILL)
+        assert_problem(lost.result(), 500, None, "ended by SIGKILL")
+        assert lost.result().json()["type"] == "urn:boxlift:problem:worker-died"
+        assert waiting.result().status_code == 200  # it waited its turn, and lost nothing
 
 
 def test_a_worker_that_dies_idle_is_replaced_before_anybody_asks(own: RunningService) -> None:

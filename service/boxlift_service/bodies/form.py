@@ -80,7 +80,12 @@ def require_fields(parts: SharedParts, fields: Mapping[str, Field]) -> None:
             raise _invalid(name, f"The form has no field {name!r}.", "Add it.")
 
 
-def _invalid(name: str, problem: str, remedy: str) -> ProblemError:
+def printable(name: str) -> str | None:
+    """A name that a client sent, as errors may show it: whoever reads them may print it."""
+    return name[:60] if name.isprintable() else None
+
+
+def _invalid(name: str | None, problem: str, remedy: str) -> ProblemError:
     return ProblemError(Kind.INVALID_FIELD, problem, remedy, field=name)
 
 
@@ -142,7 +147,7 @@ class _FormReader:
         if self._name not in self._fields:
             known = ", ".join(self._fields)
             raise _invalid(
-                self._name[:60], f"The field {self._name!r:.60} is unknown.", f"Known fields: {known}."
+                printable(self._name), f"The field {self._name!r:.60} is unknown.", f"Known fields: {known}."
             )
         most = self._fields[self._name].max_parts
         if self._parts.count(self._name) >= most:

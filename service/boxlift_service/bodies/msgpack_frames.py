@@ -12,7 +12,7 @@ import asyncio
 from collections.abc import AsyncIterator, Mapping
 from time import monotonic
 
-from boxlift_service.bodies.form import Field
+from boxlift_service.bodies.form import Field, printable
 from boxlift_service.bodies.shared_parts import HeldBytes, SharedParts
 from boxlift_service.problems import Kind, ProblemError
 
@@ -199,7 +199,7 @@ class _Entries:
     def _refusal(self, name: str, size: int) -> ProblemError | None:
         if name not in self._fields and name not in _FILENAME_OF:
             known = ", ".join((*self._fields, *_FILENAME_OF))
-            return _invalid(name[:60], f"The field {name!r:.60} is unknown.", f"Known fields: {known}.")
+            return _invalid(printable(name), f"The field {name!r:.60} is unknown.", f"Known fields: {known}.")
         if name in self._seen:
             return _invalid(name, f"The field {name!r} comes twice.", "Send it once.")
         limit = _LONGEST_FILENAME if name in _FILENAME_OF else self._fields[name].max_bytes
@@ -247,7 +247,7 @@ def _unreadable(problem: str, remedy: str = "Let a msgpack library build the bod
     return ProblemError(Kind.UNREADABLE_BODY, problem, remedy)
 
 
-def _invalid(name: str, problem: str, remedy: str) -> ProblemError:
+def _invalid(name: str | None, problem: str, remedy: str) -> ProblemError:
     return ProblemError(Kind.INVALID_FIELD, problem, remedy, field=name)
 
 

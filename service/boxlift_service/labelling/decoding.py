@@ -13,7 +13,6 @@ from boxlift.errors import (
     CalibrationError,
     ImageError,
     InputError,
-    PointCloudError,
     PromptError,
 )
 from boxlift.formats.calibration import parse_calibration
@@ -66,12 +65,7 @@ def decode_label_request(
     prompts = _prompts(parts, limits)
     parsed = parse_calibration(parts["calib"].data)
     size_px = _image_size(parts, parsed.image_size_px, limits)
-    decoded = decode_points(parts["points"].data, parts["points"].filename)
-    point_count = len(decoded.points) + decoded.dropped
-    if point_count > limits.max_points:
-        raise PointCloudError(
-            "points", f"there are {point_count} points.", f"Give at most {limits.max_points}."
-        )
+    decoded = decode_points(parts["points"].data, parts["points"].filename, max_points=limits.max_points)
     frame = Frame(
         name=_frame_name(parts),
         points_velo=decoded.points,
