@@ -20,7 +20,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -34,11 +34,11 @@ from boxlift_service.guards.api_keys import new_key
 from serving import prepared, processes
 from serving.panels import page
 from serving.prometheus import DOCKER, STEP_S, Prometheus, Series, running_prometheus
-from serving.service_process import running_boxlift
+from serving.service_process import Service, running_boxlift
 
 
-def load(url: str, key: str, seconds: float, kill: Sequence[int]) -> None:
-    """Frames and images, among them what is refused, given up and wrong; half-way `kill` is killed."""
+def load(url: str, key: str, seconds: float, strike: Callable[[], None]) -> None:
+    """Frames and images, among them what is refused, given up and wrong; half-way `strike`."""
     settings = preset(DEFAULT_PRESET)
     frames = prepared.frames(None, 3)
     end = time.monotonic() + seconds
@@ -71,10 +71,23 @@ def load(url: str, key: str, seconds: float, kill: Sequence[int]) -> None:
     for thread in threads:
         thread.start()
     time.sleep(seconds / 2)
-    for pid in kill:
-        os.kill(pid, signal.SIGKILL)
+    strike()
     for thread in threads:
         thread.join()
+
+
+def lose_a_request(service: Service, key: str) -> None:
+    """Kill the label worker until a request is lost with it, and answered 500."""
+    headers = {"Authorization": f"Bearer {key}"}
+    for _ in range(1000):
+        text = httpx.get(f"{service.url}/metrics", headers=headers).text
+        if 'status="500"' in text:
+            return
+        if 'boxlift_running_requests{pool="label"} 1.0' in text:
+            for pid in processes.workers(service.pid, processes.LABEL):
+                os.kill(pid, signal.SIGKILL)
+            time.sleep(1.5)
+    raise RuntimeError("no request was lost.")
 
 
 def panels_of(prometheus: Prometheus, begin: float, end: float) -> list[tuple[dict[str, Any], list[Series]]]:
@@ -121,21 +134,22 @@ def main() -> int:
     parser.add_argument("--key", default="", help="and a key of it")
     given = parser.parse_args()
     if given.url:
-        return _run(given.url, given.key, given.seconds, given.out, ())
+        return _run(given.url, given.key, given.seconds, given.out, lambda: None)
     secret, key = new_key("dashboard")
     with tempfile.NamedTemporaryFile("w") as file:
         file.write(key.line)
         file.flush()
         # Few permits: something is refused.
         with running_boxlift({"api_keys": file.name, "permits_per_worker": "2"}) as service:
-            kill = sorted(processes.workers(service.pid, processes.LABEL))[:1]
-            return _run(service.url, secret, given.seconds, given.out, kill)
+            return _run(
+                service.url, secret, given.seconds, given.out, lambda: lose_a_request(service, secret)
+            )
 
 
-def _run(url: str, key: str, seconds: float, out: Path | None, kill: Sequence[int]) -> int:
+def _run(url: str, key: str, seconds: float, out: Path | None, strike: Callable[[], None]) -> int:
     with running_prometheus(url, key) as prometheus:
         begin = time.time()
-        load(url, key, seconds, kill)
+        load(url, key, seconds, strike)
         time.sleep(3 * STEP_S)
         end = time.time()
         missing = judge(prometheus, begin, end)
