@@ -54,6 +54,7 @@ bench: $(READY)
 	$(BIN)/python benchmarks/faults.py
 	$(BIN)/python benchmarks/peer.py
 	$(BIN)/python benchmarks/micro_batches.py
+	$(BIN)/python benchmarks/dashboard.py
 	$(BIN)/python benchmarks/fuzz_decoders.py
 	$(BIN)/python benchmarks/fuzz_api.py
 
