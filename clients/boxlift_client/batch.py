@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from boxlift.errors import BoxliftError
-from boxlift_client.errors import ServiceBusyError, UnexpectedAnswerError
+from boxlift_client.errors import ServiceProblemError, UnexpectedAnswerError
 from boxlift_client.label_answer import LabelAnswer, check_settings, error_of_problem, read_answer
 
 # A whole request is sent before its answer is read. With these bounds that is soon, and what the service
@@ -88,6 +88,11 @@ class _End(BaseModel):
     complete: bool
 
 
+def _is_worth_asking_again(error: BoxliftError | None) -> bool:
+    """Whether the service had no room for the frame, or ended before it."""
+    return isinstance(error, ServiceProblemError) and error.problem.status in (429, 503)
+
+
 class Batch:
     """The frames of a request, and what becomes of them. `outcomes` are in order of completion."""
 
@@ -117,7 +122,7 @@ class Batch:
             if not 0 <= line.index < len(asked):
                 raise self._unexpected(f"it answers frame {line.index}, {len(asked)} were sent.")
             outcome = self._outcome(asked[line.index], line)
-            if last_time or not isinstance(outcome.error, ServiceBusyError):
+            if last_time or not _is_worth_asking_again(outcome.error):
                 answered.add(line.index)
                 self.outcomes.append(outcome)
         self._waiting = [frame for index, frame in enumerate(asked) if index not in answered]

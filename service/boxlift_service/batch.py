@@ -118,7 +118,11 @@ class Batch:
                 self._refuse_more()
                 parts = SharedParts(service.held)
                 try:
-                    problem = await reader.read_map(parts)
+                    async with asyncio.timeout(limits.receive_limit_s):
+                        problem = await reader.read_map(parts)
+                except TimeoutError:
+                    parts.close()
+                    raise self._too_slow() from None
                 except BaseException:
                     parts.close()
                     raise
@@ -139,6 +143,13 @@ class Batch:
                 f"The batch has more than {MOST_FRAMES} frames.",
                 "Send the rest in another one.",
             )
+
+    def _too_slow(self) -> ProblemError:
+        return ProblemError(
+            Kind.TIMEOUT,
+            f"Frame {self._frames} was not complete after {self._service.settings.receive_limit_s:g} s.",
+            "Send each frame in one go.",
+        )
 
     def _begin(self, parts: SharedParts, problem: ProblemError | None) -> None:
         task = asyncio.create_task(self._answer(self._frames, parts, problem))

@@ -23,6 +23,8 @@ def run(settings: ServiceSettings) -> None:
     settings.port is 0. Raises OptionsError for settings that do not go together, MissingExtraError without
     the extra `serve`.
     """
+    with suppress(AttributeError, ValueError):  # no such signal, or not the main thread
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)  # until there are models to reload
     # OpenMP reads it once, when Open3D and torch load. Threads that spin while they wait made
     # the ground plane 2 to 5 times slower on a machine that was busy otherwise.
     os.environ["OMP_NUM_THREADS"] = str(settings.label_threads)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import http.client
 import json
 import os
@@ -8,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, Self
 from urllib.parse import urlsplit
 
+import httpx
 import msgpack
 import pytest
 
@@ -261,6 +263,9 @@ def test_a_service_that_ends_finishes_the_frames_it_has(frame: SmallFrame) -> No
             stream.send(packed(frame, "b"))
             wait_for_metric(ending, 'boxlift_running_requests{pool="label"}', 1)
             os.kill(ending.process.pid, signal.SIGTERM)
+            with contextlib.suppress(httpx.ConnectError):
+                while True:  # until its port is closed
+                    httpx.get(f"{ending.url}/healthz")
         lines = [stream.line()]
         stream.send(packed(frame, "c"))
         lines.append(stream.line())

@@ -73,6 +73,16 @@ def test_every_route_is_under_v1_too(busy: RunningService, frame: SmallFrame) ->
     assert answers[0].json() == answers[1].json()
 
 
+def test_what_computes_is_not_even_loaded_in_the_server(busy: RunningService) -> None:
+    def libraries(pid: int) -> set[str]:
+        maps = Path(f"/proc/{pid}/maps").read_text()
+        return {name for name in ("libtorch_cpu", "open3d", "onnxruntime") if name in maps}
+
+    assert libraries(busy.process.pid) == set()
+    assert libraries(busy.workers("label")[0]) == {"libtorch_cpu", "open3d"}
+    assert libraries(busy.workers("detect")[0]) == {"onnxruntime"}
+
+
 def test_work_beyond_the_permits_is_refused_and_what_was_taken_on_is_answered(
     busy: RunningService, frame: SmallFrame
 ) -> None:
@@ -168,6 +178,15 @@ def test_models_are_reloaded_without_a_dropped_request(busy: RunningService, own
     assert busy.client.get("/readyz").status_code == 200
     own_model.write_bytes(whole)
     assert busy.client.post("/models:reload").status_code == 200
+
+
+def test_reloads_that_are_asked_for_together_are_one_and_the_next(busy: RunningService) -> None:
+    done = 'boxlift_worker_restarts_total{pool="detect",reason="reload"}'
+    before = metric(busy, done)
+    with ThreadPoolExecutor(8) as pool:
+        answers = pool.map(lambda _: busy.client.post("/models:reload").status_code, range(8))
+        assert list(answers) == [200] * 8
+    assert 1 <= metric(busy, done) - before <= 4
 
 
 def test_a_shutdown_drains_and_answers_what_was_accepted(frame: SmallFrame) -> None:

@@ -62,6 +62,41 @@ def test_who_waits_is_served_in_the_order_of_asking() -> None:
     assert asyncio.run(scenario()) == [0, 2, 3]
 
 
+def test_large_work_that_waits_is_not_overtaken_by_small_work_that_waits() -> None:
+    async def scenario() -> None:
+        permits = Permits(16.0)
+        held = [await permits.take(4.0) for _ in range(3)]
+        large = asyncio.create_task(permits.take(8.0, wait=True))
+        await asyncio.sleep(0)
+        small = [asyncio.create_task(permits.take(1.0, wait=True)) for _ in range(4)]
+        await asyncio.sleep(0)
+        assert not any(task.done() for task in (large, *small))  # although each of the small would fit
+        assert await permits.take(1.0) == 1.0  # who does not wait goes before them
+        permits.give_back(1.0)
+        permits.give_back(held.pop())
+        assert await large == 8.0
+        assert not any(task.done() for task in small)
+        permits.give_back(8.0)
+        assert await asyncio.gather(*small) == [1.0] * 4
+
+    asyncio.run(scenario())
+
+
+def test_who_is_let_in_and_leaves_at_once_gives_back_what_was_taken() -> None:
+    async def scenario() -> None:
+        permits = Permits(2.0)
+        held = [await permits.take(1.0), await permits.take(1.0)]
+        leaving = asyncio.create_task(permits.take(1.0, wait=True))
+        await asyncio.sleep(0)
+        permits.give_back(held.pop())  # lets it in
+        leaving.cancel()  # before it has noticed
+        with pytest.raises(asyncio.CancelledError):
+            await leaving
+        assert permits.taken == 1.0
+
+    asyncio.run(scenario())
+
+
 def test_retry_after_follows_how_fast_the_work_before_was_done(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 100.0
     monkeypatch.setattr("boxlift_service.workers.permits.monotonic", lambda: now)

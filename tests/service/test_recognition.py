@@ -252,7 +252,7 @@ def test_no_data(recogniser: RunningService) -> None:
         (b"{}", "application/json", 422, "None"),
         (b'{"datas": {}}', "application/json", 422, "{}"),
         (b'{"datas": [1, 2, 3, 4]}', "application/json", 422, "at most 3"),
-        (b"{}" + b" " * 2**20, "application/json", 413, "1048576 bytes"),
+        (b"{}" + b" " * 2**18, "application/json", 413, "262144 bytes"),
         (b"{}", "text/plain", 415, "text/plain"),
         (b"{}", "", 415, "no Content-Type"),
     ],

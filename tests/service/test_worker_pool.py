@@ -25,6 +25,7 @@ from service.worker_jobs import (
     kill_itself,
     open_counter,
     open_if_there,
+    opens_three_times,
     read_file,
     refuse,
     wrong_input,
@@ -251,6 +252,76 @@ def test_renewal_loses_no_request_and_takes_what_is_there_now(tmp_path: Path) ->
             assert before.isdisjoint(pool.state().pids)
             assert len(await asyncio.gather(*asked)) == 40
             assert (await pool.run(Count(0)))[0][1] == 8
+            assert ready(pool)
+
+    asyncio.run(scenario())
+
+
+def test_renewal_that_meets_a_worker_that_dies_leaves_a_place_that_works() -> None:
+    async def scenario() -> None:
+        async with started(limit_s=1.0) as pool:
+            for _ in range(3):
+                pid, _ = (await pool.run(Count(0)))[0]
+                lost = asyncio.create_task(pool.run(hang))
+                await until(lambda: pool.state().running == 1)
+                await pool.renew(Count(0))  # the new one waits until that is over
+                assert lost.done()
+                with pytest.raises(ProblemError, match="WORKER_DIED"):
+                    await lost
+                await until(lambda: ready(pool))
+                assert (await pool.run(Count(0)))[0][0] != pid
+                await asyncio.sleep(0.3)
+                assert ready(pool)
+
+    asyncio.run(scenario())
+
+
+def test_a_worker_that_cannot_start_for_any_reason_is_tried_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    start = WorkerProcess.start
+    failures: list[RuntimeError] = []
+
+    def start_or_fail(process: WorkerProcess[Any]) -> None:
+        if failures:
+            raise failures.pop()
+        start(process)
+
+    async def scenario() -> None:
+        async with started() as pool:
+            pid, _ = (await pool.run(Count(0)))[0]
+            failures.append(RuntimeError("can't start new thread"))
+            os.kill(pid, signal.SIGKILL)
+            await until(lambda: not failures)
+            await until(lambda: ready(pool))
+            assert (await pool.run(Count(0)))[0][0] != pid
+
+    monkeypatch.setattr(WorkerProcess, "start", start_or_fail)
+    asyncio.run(scenario())
+
+
+def test_work_whose_deadline_has_passed_is_not_begun() -> None:
+    metrics = Metrics()
+
+    async def scenario() -> None:
+        async with started(metrics=metrics) as pool:
+            with pytest.raises(ProblemError, match="DEADLINE_EXCEEDED"):
+                async with pool.permitted(1.0, deadline=Deadline(-1.0)):
+                    pytest.fail("it is too late")
+            assert pool.permits.taken == 0
+
+    asyncio.run(scenario())
+    assert count_of(metrics, 'boxlift_dropped_total{pool="test",reason="deadline"}') == 1
+
+
+def test_renewal_of_which_a_later_process_fails_changes_none(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with started(2, opens_three_times, (tmp_path / "opened",)) as pool:
+            await asyncio.gather(*(pool.run(Nap(0.1)) for _ in range(4)))
+            before = pool.state().pids
+            with pytest.raises(OptionsError, match="three times"):
+                await pool.renew(Count(0))
+            assert pool.state().pids == before
             assert ready(pool)
 
     asyncio.run(scenario())

@@ -2,10 +2,13 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -85,6 +88,26 @@ def test_a_worker_that_does_not_even_read_is_ended() -> None:
         with pytest.raises(WorkerDiedError, match="no answer within 5 s"):
             worker.call(Echo(bytes(20_000_000)))
         assert not worker.lives
+
+
+def test_a_worker_that_hangs_ends_with_its_parent() -> None:
+    code = (
+        "import sys; from boxlift_service.workers.process import WorkerProcess; "
+        "from service.worker_jobs import Count, hang, open_counter; "
+        "worker = WorkerProcess(open_counter, (1,), 60); worker.start(); "
+        "print(worker.call(Count(0))[0], flush=True); worker.call(hang)"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1]
+    ) as parent:
+        assert parent.stdout is not None
+        pid = int(parent.stdout.readline())
+        time.sleep(0.5)  # it hangs by now
+        parent.kill()
+    end = time.monotonic() + 20
+    while Path(f"/proc/{pid}").exists():
+        assert time.monotonic() < end
+        time.sleep(0.05)
 
 
 @pytest.mark.parametrize(

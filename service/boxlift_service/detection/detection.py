@@ -6,6 +6,7 @@ other labels on.
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -45,6 +46,8 @@ class Detection:
     ) -> None:
         self._settings = settings
         self._presets = presets
+        self._reloading = asyncio.Lock()
+        self._next_reload: asyncio.Task[None] | None = None
         self.detector = self.monocular = ModelInfo(missing=_NOT_LOADED)
         self.pool = WorkerPool(
             "detect",
@@ -105,8 +108,20 @@ class Detection:
     async def reload(self) -> None:
         """Read the model files again, while the old models work on.
 
-        Raises ProblemError (503) where one cannot be used: the old models stay.
+        Who asks while others wait for the same shares theirs. Raises ProblemError (503) where a file cannot
+        be used: the old models stay.
         """
+        if self._next_reload is None:
+            self._next_reload = asyncio.create_task(self._reload())
+            self._next_reload.add_done_callback(lambda task: task.cancelled() or task.exception())
+        await asyncio.shield(self._next_reload)
+
+    async def _reload(self) -> None:
+        async with self._reloading:
+            self._next_reload = None  # who asks from now on may mean newer files
+            await self._renew()
+
+    async def _renew(self) -> None:
         try:
             await self.pool.renew(require_given)
         except (BoxliftError, WorkerDiedError, WorkerFaultError, OSError) as error:

@@ -72,13 +72,25 @@ def digest_of(secret: bytes) -> bytes:
 def parse_keys(text: str, source: str) -> tuple[ApiKey, ...]:
     """Keys of a file's text. Raises OptionsError that names `source` and the line, never what is on it."""
     keys: list[ApiKey] = []
+    names: set[str] = set()
+    digests: set[bytes] = set()
     for number, line in enumerate(text.splitlines(), start=1):
         if words := line.partition("#")[0].split():
-            keys.append(_key(words, keys, f"{source}:{number}"))
+            place = f"{source}:{number}"
+            key = _key(words, place)
+            if key.name in names:
+                raise OptionsError(
+                    place, f"the name {key.name!r} is taken above.", "Give every key its own name."
+                )
+            if key.digest in digests:
+                raise OptionsError(place, "the same key is above.", "Remove one of the two lines.")
+            keys.append(key)
+            names.add(key.name)
+            digests.add(key.digest)
     return tuple(keys)
 
 
-def _key(words: list[str], before: list[ApiKey], place: str) -> ApiKey:
+def _key(words: list[str], place: str) -> ApiKey:
     if len(words) not in (2, 3):
         raise OptionsError(place, f"{len(words)} words instead of 2 or 3.", _LINE)
     name, digest, *rate = words
@@ -90,12 +102,7 @@ def _key(words: list[str], before: list[ApiKey], place: str) -> ApiKey:
         raise OptionsError(place, "the hash has not 64 hexadecimal digits.", _LINE)
     if rate and not _RATE.fullmatch(rate[0]):
         raise OptionsError(place, "requests per minute are no number from 0 to 999999.", _LINE)
-    key = ApiKey(name, bytes.fromhex(digest), int(rate[0]) if rate else None)
-    if any(other.name == key.name for other in before):
-        raise OptionsError(place, f"the name {key.name!r} is taken above.", "Give every key its own name.")
-    if any(other.digest == key.digest for other in before):
-        raise OptionsError(place, "the same key is above.", "Remove one of the two lines.")
-    return key
+    return ApiKey(name, bytes.fromhex(digest), int(rate[0]) if rate else None)
 
 
 def read_keys(path: Path) -> tuple[ApiKey, ...]:

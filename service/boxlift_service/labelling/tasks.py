@@ -10,7 +10,6 @@ from enum import StrEnum
 from boxlift.formats import xtreme1
 from boxlift.formats.details import details_of, kitti_text
 from boxlift.frame import FrameLabels
-from boxlift.labeller import Labeller
 from boxlift.stage_times import StageTimes
 from boxlift_service.answers import label_answer_of
 from boxlift_service.bodies.shared_parts import PartsIndex
@@ -46,6 +45,9 @@ class LabelTask:
 
     def __call__(self, worker: LabelWorker, file: int) -> LabelledFrame:
         """Raises InputError that names the field at fault."""
+        # Here, for the server makes tasks too, and torch has no place there.
+        from boxlift.labeller import Labeller
+
         times = StageTimes()
         with times.stage("decode"):
             parts = {name: parts[0] for name, parts in self.parts.read(file).items()}

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from boxlift.settings import LabellerSettings
-from boxlift_service.labelling.warm_up import warm_up
 from boxlift_service.settings import ServiceSettings
 from boxlift_service.telemetry.logs import configure_logging
 
@@ -23,6 +22,8 @@ def open_label_worker(limits: ServiceSettings, presets: Mapping[str, LabellerSet
     """Set the number of threads and label a frame. Raises what the labeller raises."""
     configure_logging(limits.log_format, limits.log_level)
     import torch
+
+    from boxlift_service.labelling.warm_up import warm_up
 
     torch.set_num_threads(limits.label_threads)
     warm_up()

@@ -29,7 +29,7 @@ from boxlift_service.recognition.answers import RecognisedData, failed, recognis
 from boxlift_service.recognition.fetching import Fetcher
 from boxlift_service.settings import ServiceSettings
 from boxlift_service.telemetry.timing import RequestTimes
-from boxlift_service.workers.deadline import Deadline
+from boxlift_service.workers.deadline import Deadline, within
 
 _log = logging.getLogger(__name__)
 
@@ -80,7 +80,7 @@ class Recognition:
         data_id = _id_of(data)
         try:
             sweep = _parse_sweep(data, self._most_images)
-            async with self._places:
+            async with within(deadline), self._places:
                 objects, message = await self._objects_of(sweep, times, results, deadline)
             return recognised(data_id, objects, message)
         except (InputError, ProblemError) as error:

@@ -63,7 +63,8 @@ class _BatchResponse(Response):
                 await send({"type": "http.response.body", "body": lines, "more_body": True})
             await send({"type": "http.response.body", "body": b""})
 
-        working = asyncio.gather(self._batch.work(), send_lines())
+        tasks = [asyncio.create_task(work) for work in (self._batch.work(), send_lines())]
+        working = asyncio.gather(*tasks)
         leaving = asyncio.create_task(self._batch.client_gone())
         try:
             await asyncio.wait((working, leaving), return_when=asyncio.FIRST_COMPLETED)
@@ -71,7 +72,7 @@ class _BatchResponse(Response):
                 raise ClientDisconnect
             working.result()
         finally:
-            for task in (working, leaving):
+            for task in (*tasks, leaving):
                 task.cancel()
-            await asyncio.gather(working, leaving, return_exceptions=True)
+            await asyncio.gather(*tasks, working, leaving, return_exceptions=True)
             await self._batch.drop()

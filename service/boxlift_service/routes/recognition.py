@@ -26,7 +26,7 @@ from boxlift_service.workers.deadline import Deadline, unless_gone
 PATH = "/pointCloud/recognition"
 JSON = "application/json"
 
-_LARGEST_BODY_BYTES = 2**20
+_LARGEST_BODY_BYTES = 2**18
 
 
 def recognition_routes(

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter, time_ns
 
-from boxlift.labeller import StageTimes
+from boxlift.stage_times import StageTimes
 
 HEADER = "Server-Timing"
 

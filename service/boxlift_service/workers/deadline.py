@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Coroutine
+from collections.abc import AsyncIterator, Coroutine
+from contextlib import asynccontextmanager
 from time import monotonic
 from typing import Any, TypeVar
 
@@ -55,6 +56,18 @@ class Deadline:
             f"There was no answer within the {self._seconds:g} s of {HEADER}.",
             "Give more time, or try again when the service is less busy.",
         )
+
+
+@asynccontextmanager
+async def within(deadline: Deadline | None) -> AsyncIterator[None]:
+    """Cancel the body of the `async with` when the deadline passes, and raise ProblemError (504)."""
+    try:
+        async with asyncio.timeout(None if deadline is None else deadline.seconds_left()) as limit:
+            yield
+    except TimeoutError:
+        if deadline is None or not limit.expired():
+            raise
+        raise deadline.problem() from None
 
 
 async def unless_gone(request: Request, work: Coroutine[Any, Any, T]) -> T:

@@ -24,7 +24,7 @@ class Permits:
     def __init__(self, total: float) -> None:
         self.total = total
         self.taken = 0.0
-        self._entrance: deque[asyncio.Future[None]] = deque()
+        self._entrance: deque[tuple[asyncio.Future[None], float]] = deque()
         self._rate = 0.0
         self._busy_since = monotonic()
 
@@ -40,13 +40,12 @@ class Permits:
         are some, in the order of asking. Raises ProblemError (429) where there are too few, unless it waits.
         """
         work = min(work, self.total / 2)
-        while self.taken + work > self.total:
-            if not wait:
-                raise self.refusal()
-            await self._turn()
-        if self.taken == 0:
-            self._busy_since = monotonic()
-        self.taken += work
+        if self._fits(work) and not (wait and self._entrance):
+            self._take(work)
+        elif wait:
+            await self._turn(work)
+        else:
+            raise self.refusal()
         return work
 
     def give_back(self, work: float) -> None:
@@ -57,10 +56,15 @@ class Permits:
         self._busy_since = now
         # Sums of fractions leave a little behind.
         self.taken = self.taken - work if self.taken - work > _NOTHING else 0.0
-        while self._entrance:  # everybody who waits looks again, in their order
-            turn = self._entrance.popleft()
-            if not turn.done():
-                turn.set_result(None)
+        self._admit()
+
+    def _fits(self, work: float) -> bool:
+        return self.taken + work <= self.total
+
+    def _take(self, work: float) -> None:
+        if self.taken == 0:
+            self._busy_since = monotonic()
+        self.taken += work
 
     def refusal(self) -> ProblemError:
         """What a request beyond the permits is answered."""
@@ -78,11 +82,26 @@ class Permits:
             return 1
         return max(1, min(_LONGEST_RETRY_S, math.ceil(self.taken / self._rate)))
 
-    async def _turn(self) -> None:
+    async def _turn(self, work: float) -> None:
+        """Wait at the entrance; who lets in takes the permits."""
         turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._entrance.append(turn)
+        self._entrance.append((turn, work))
         try:
             await turn
-        finally:
-            if turn in self._entrance:
-                self._entrance.remove(turn)
+        except asyncio.CancelledError:
+            if turn.cancelled():
+                self._admit()  # those behind may fit
+            else:
+                self.give_back(work)
+            raise
+
+    def _admit(self) -> None:
+        """Let in who waits, in their order, as far as there is room."""
+        while self._entrance:
+            turn, work = self._entrance[0]
+            if not turn.done():
+                if not self._fits(work):
+                    return
+                self._take(work)
+                turn.set_result(None)
+            self._entrance.popleft()

@@ -14,7 +14,6 @@ from functools import partial
 from time import monotonic, perf_counter
 from typing import Any, Literal
 
-from boxlift.errors import BoxliftError
 from boxlift_service.problems import Kind, ProblemError
 from boxlift_service.telemetry.metrics import Metrics, PoolState
 from boxlift_service.workers.deadline import Deadline
@@ -22,7 +21,6 @@ from boxlift_service.workers.permits import Permits
 from boxlift_service.workers.process import (
     BEAT_S,
     WorkerDiedError,
-    WorkerFaultError,
     WorkerGoneError,
     WorkerProcess,
 )
@@ -30,8 +28,6 @@ from boxlift_service.workers.process import (
 _log = logging.getLogger("boxlift_service")
 
 _SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 30.0
-# A worker that lived for this long was no failure to start.
-_LIVES_S = 10.0
 # Work is given again where a worker ended before it began; what ends them all is the work's own fault.
 _GIVEN_AT_MOST = 3
 _REASONS = {"died": "died", "silent": "was not heard from", "late": "gave no answer in time"}
@@ -56,15 +52,23 @@ class _Job:
 
 
 class _Worker:
-    """A place in the pool: the process that has it now, and the thread that talks to it."""
+    """A place in the pool: the process that has it now, and the thread that talks to it.
+
+    Only the event loop changes what is here. _keep alone makes a place ready; it is no more when its process
+    ends or loses its work. Who has the place changes while it is ready and not busy, in _swap alone.
+
+    fresh: the process of a renewal, which waits for that.
+    """
 
     def __init__(self, process: WorkerProcess[Any]) -> None:
         self.process = process
+        self.fresh: WorkerProcess[Any] | None = None
         self.thread = ThreadPoolExecutor(1, thread_name_prefix="boxlift-worker")
         self.state: Literal["ready", "starting", "failed"] = "starting"
         self.failure: str | None = None
         self.busy = False
         self.ended = asyncio.Event()
+        self.renewed = asyncio.Event()
         self.silent_beats = 0
         self.was_silent = False
 
@@ -100,7 +104,7 @@ class WorkerPool:
         self._workers: list[_Worker] = []
         self._keeping: set[asyncio.Task[None]] = set()
         self._computing: set[asyncio.Task[None]] = set()
-        self._renewal = asyncio.Lock()
+        self._retiring: set[asyncio.Task[None]] = set()
         metrics.watch_pool(name, self.state)
 
     def start(self) -> None:
@@ -120,7 +124,12 @@ class WorkerPool:
         for task in self._keeping:
             task.cancel()
         await asyncio.gather(*self._keeping, return_exceptions=True)
-        await asyncio.gather(*(_in_thread(worker, worker.process.stop) for worker in self._workers))
+        for worker in self._workers:
+            if worker.fresh is not None:
+                self._retire(worker.fresh)
+        await asyncio.gather(
+            *self._retiring, *(_in_thread(worker, worker.process.stop) for worker in self._workers)
+        )
         for worker in self._workers:
             worker.thread.shutdown()
 
@@ -129,7 +138,7 @@ class WorkerPool:
         if not self._workers:
             raise self._not_ready(f"The {self.name} workers are not started yet.")
         for worker in self._workers:
-            if worker.state != "ready":
+            if worker.state != "ready" or worker.was_silent:
                 raise self._not_ready(worker.failure or f"A {self.name} worker is being started.")
 
     def require_room(self) -> None:
@@ -144,9 +153,11 @@ class WorkerPool:
     ) -> AsyncIterator[None]:
         """Permits for `work` while the body of the `async with` runs.
 
-        Raises ProblemError: too few are left (429), or, where it waits for them, the deadline passed (504).
+        Raises ProblemError: too few are left (429), the deadline passed, also while it waited for them (504).
         """
         try:
+            if deadline is not None and deadline.seconds_left() <= 0:
+                raise TimeoutError
             async with asyncio.timeout(None if deadline is None else deadline.seconds_left()):
                 taken = await self.permits.take(work, wait=wait)
         except TimeoutError:
@@ -200,25 +211,27 @@ class WorkerPool:
             self._forget(job)
 
     async def renew(self, check: Callable[[Any], object]) -> None:
-        """Replace the processes one by one, each between two pieces of work and by one that is open.
+        """Replace all processes, each between two pieces of work, once all new ones are open. One at a time.
 
         check: work that a new one does first. Raises BoxliftError, WorkerDiedError or WorkerFaultError where
         one does not open or fails its check: the pool goes on with what it has.
         """
-        async with self._renewal:
-            for worker in self._workers:
-                fresh = self._new_process()
-                try:
-                    greeting = await asyncio.to_thread(self._open, fresh)
-                    await asyncio.to_thread(fresh.call, check)
-                except BaseException:
-                    await asyncio.to_thread(fresh.stop)
-                    raise
-                old = await _in_thread(worker, partial(_swap, worker, fresh))
-                self._watch(worker)
-                self._on_greeting(greeting)
-                self._metrics.count_restart(self.name, "reload")
-                await asyncio.to_thread(old.stop)
+        opened: list[WorkerProcess[Any]] = []
+        try:
+            for _ in self._workers:
+                opened.append(self._new_process())
+                greeting = await asyncio.to_thread(self._open, opened[-1])
+                await asyncio.to_thread(opened[-1].call, check)
+        except BaseException:
+            for process in opened:
+                await asyncio.to_thread(process.stop)
+            raise
+        for worker, process in zip(self._workers, opened, strict=True):
+            worker.fresh = process
+            worker.renewed.clear()
+            self._swap(worker)
+        self._on_greeting(greeting)
+        await asyncio.gather(*(worker.renewed.wait() for worker in self._workers))
 
     # One worker's life
 
@@ -227,11 +240,13 @@ class WorkerPool:
         pause_s = _SHORTEST_PAUSE_S
         while True:
             worker.state, worker.silent_beats, worker.was_silent = "starting", 0, False
-            worker.ended.clear()
+            worker.ended = ended = asyncio.Event()
             start = monotonic()
             try:
-                greeting = await _in_thread(worker, lambda: self._open(worker.process))
-            except (BoxliftError, WorkerDiedError, WorkerFaultError, OSError) as error:
+                greeting = await _in_thread(worker, partial(self._open, worker.process))
+                self._watch(worker, ended)
+            # Whatever it is (no memory, no threads, a broken installation), it may pass.
+            except Exception as error:
                 worker.failure = f"A {self.name} worker cannot start: {_last_line(error):.300}"
                 _log.error("%s", worker.failure)
                 worker.state = "failed"
@@ -240,29 +255,45 @@ class WorkerPool:
                 pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
                 continue
             _log.info("a %s worker is ready after %.1f s", self.name, monotonic() - start)
+            pause_s = _SHORTEST_PAUSE_S
             self._on_greeting(greeting)
             worker.state, worker.failure = "ready", None
-            self._watch(worker)
+            self._swap(worker)
             self._dispatch()
-            await worker.ended.wait()
+            await ended.wait()
             reason = "silent" if worker.was_silent else "late" if worker.process.late else "died"
             _log.error("a %s worker has to be replaced: it %s", self.name, _REASONS[reason])
             self._metrics.count_restart(self.name, reason)
-            if monotonic() - start > _LIVES_S:
-                pause_s = _SHORTEST_PAUSE_S
 
     def _open(self, process: WorkerProcess[Any]) -> Any:
         process.start()
         return None if self._greeting is None else process.call(self._greeting)
 
-    def _watch(self, worker: _Worker) -> None:
-        """Have worker.ended set when the process that has this place now ends."""
+    def _swap(self, worker: _Worker) -> None:
+        """Give the place to the process of a renewal, where there is one and the place is ready."""
+        if worker.fresh is None or worker.state != "ready" or worker.busy:
+            return
+        old, worker.process, worker.fresh = worker.process, worker.fresh, None
+        worker.silent_beats, worker.was_silent = 0, False
+        self._watch(worker, worker.ended)
+        worker.renewed.set()
+        self._metrics.count_restart(self.name, "reload")
+        self._retire(old)
+
+    def _retire(self, process: WorkerProcess[Any]) -> None:
+        async def stop() -> None:
+            await asyncio.to_thread(process.stop)
+
+        _run(stop(), self._retiring)
+
+    def _watch(self, worker: _Worker, ended: asyncio.Event) -> None:
+        """Have `ended` set when the process that has this place now ends."""
         loop, process = asyncio.get_running_loop(), worker.process
 
         def end() -> None:
-            if worker.process is process:
+            if worker.process is process and worker.ended is ended:
                 worker.state = "starting"
-                worker.ended.set()
+                ended.set()
 
         def on_end() -> None:
             if not loop.is_closed():
@@ -276,7 +307,10 @@ class WorkerPool:
         while True:
             await asyncio.sleep(BEAT_S)
             for worker in self._workers:
-                worker.silent_beats = 0 if worker.process.heard() else worker.silent_beats + 1
+                if worker.process.pid is None or worker.process.heard():  # or it is not there yet
+                    worker.silent_beats = 0
+                    continue
+                worker.silent_beats += 1
                 if worker.silent_beats > (most if worker.state == "ready" else most * _OPENING_TAKES_TIMES):
                     worker.silent_beats, worker.was_silent = 0, True
                     worker.process.kill(f"it was not heard from for {self._silence_s:g} s and was ended.")
@@ -294,7 +328,7 @@ class WorkerPool:
         waited_s = perf_counter() - job.queued
         job.given += 1
         try:
-            answer = await _in_thread(worker, lambda: worker.process.call(job.work, job.file))
+            answer = await _in_thread(worker, partial(worker.process.call, job.work, job.file))
         except WorkerDiedError as error:
             worker.state = "starting"
             if isinstance(error, WorkerGoneError) and job.given < _GIVEN_AT_MOST and not job.result.done():
@@ -309,6 +343,7 @@ class WorkerPool:
             worker.busy = False
             if job not in self._waiting:
                 job.close()
+            self._swap(worker)
             self._dispatch()
 
     def _forget(self, job: _Job) -> None:
@@ -336,12 +371,6 @@ class WorkerPool:
         return ProblemError(
             Kind.NOT_READY, reason, "Try again in a few seconds.", headers={"Retry-After": "2"}
         )
-
-
-def _swap(worker: _Worker, fresh: WorkerProcess[Any]) -> WorkerProcess[Any]:
-    """Give the place to `fresh`; returns who had it. In the worker's thread, so between two calls."""
-    old, worker.process = worker.process, fresh
-    return old
 
 
 async def _in_thread(worker: _Worker, work: Callable[[], Any]) -> Any:

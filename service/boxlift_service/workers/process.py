@@ -170,7 +170,7 @@ class WorkerProcess(Generic[State]):
         process = self._process
         self._killed_because = because
         if process is not None:
-            with suppress(ValueError, OSError):  # it has just been closed
+            with suppress(ValueError, OSError, AttributeError):  # it is being started, or was just closed
                 process.kill()
 
     def stop(self) -> None:
@@ -261,11 +261,12 @@ def _work(
 
 
 def _beat(pulse: Connection) -> None:
-    """Tell that this process runs, until nobody wants to hear it."""
+    """Tell that this process runs; end it when nobody wants to hear that any more."""
     with suppress(OSError):
         while True:
             pulse.send_bytes(b"!")
             time.sleep(BEAT_S)
+    os._exit(1)  # whoever listened is gone, and the work may hang
 
 
 def _attempt(work: Callable[..., Any], *arguments: Any) -> tuple[bool, Any]:
