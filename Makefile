@@ -56,6 +56,7 @@ bench: $(READY)
 	$(BIN)/python benchmarks/micro_batches.py
 	$(BIN)/python benchmarks/dashboard.py
 	$(BIN)/python benchmarks/fuzz_decoders.py
+	$(BIN)/python benchmarks/fuzz_decoders.py --large
 	$(BIN)/python benchmarks/fuzz_api.py
 
 clean:

@@ -94,7 +94,7 @@ def _form(parts: list[tuple[str, str | None, bytes]]) -> bytes:
 def _read_both_ways(data: bytes, read: Any) -> None:
     """The same comes of a body however it is cut into chunks. Raises InputError where it is refused."""
     random = Random(zlib.crc32(data))
-    cuts = sorted(random.randrange(len(data) + 1) for _ in range(random.choice((1, 3, 40))))
+    cuts = sorted([1, *(random.randrange(len(data) + 1) for _ in range(random.choice((1, 3, 40))))])
     pieces = [data[start:end] for start, end in zip([0, *cuts], [*cuts, len(data)], strict=True)]
     try:
         in_pieces: _Parts | str = _read(read(pieces))

@@ -107,12 +107,19 @@ class _FormReader:
             self._parser = MultipartParser(boundary, callbacks)
         except FormParserError as error:
             raise _unreadable(f"The boundary is refused ({error!s:.120}).") from None
+        self._opening = self._delimiter = b"--" + boundary
         self._fields = fields
         self._parts = parts
         self._complete = False
         self._on_part_begin()
 
     def write(self, chunk: bytes) -> None:
+        # What comes before the first boundary the parser accepts or refuses by how the body is cut.
+        if self._opening == self._delimiter:
+            chunk = chunk.lstrip(b"\r\n")
+        expected, self._opening = self._opening[: len(chunk)], self._opening[len(chunk) :]
+        if not chunk.startswith(expected):
+            raise _unreadable("The form does not begin with its boundary.")
         self._parser.write(chunk)
 
     def finish(self) -> None:
