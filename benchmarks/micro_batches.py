@@ -11,10 +11,10 @@ the price where two frames were fitted in one call; one that takes twice as long
 All take turns within each repeat; printed are medians of milliseconds per image or frame. A batch pays only
 where it is clearly faster than single calls with the same threads.
 
-Found on two cores (a1b300d): images in batches of 2 and 4 take 45.3 and 46.5 ms each, single ones 46.8: nothing
-to gain for what waiting for a batch costs. Of a frame, 10 objects take twice as long as 5 in every stage that
-depends on them, so that fitting two frames together would save little: fit and polish, the batched stages, are a
-sixth of a frame. So the service computes each request alone.
+Found on two cores (a1b300d): images in batches of 2 and 4 take 45.3 and 46.5 ms each, single ones 46.8. That
+is nothing to gain for what waiting for a batch costs. Of a frame, 10 objects take twice as long as 5 in every
+stage that depends on them; fitting two frames in one call would save little: fit and polish, the stages that
+are batched, are a sixth of a frame. So the service computes each request alone.
 """
 
 from __future__ import annotations
