@@ -87,7 +87,7 @@ def test_what_is_a_finding(decode: Callable[[bytes], None], says: str) -> None:
 
 
 def test_memory_that_the_process_had_before_is_found_when_traced() -> None:
-    with pytest.raises(FindingError, match=r"6710\d{4} bytes of memory"):
+    with pytest.raises(FindingError, match=r"671\d{5} bytes of memory"):
         check_traced_memory(_is_large, b"data")
 
 

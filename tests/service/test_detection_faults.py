@@ -23,7 +23,7 @@ from boxlift_service.detection.models import open_models
 from boxlift_service.workers.process import WorkerProcess
 from model.detector.detector_files import detector_file
 from model.stand_in_model import METADATA, stand_in_model
-from service.frames import SmallFrame, detect_parts, grey_png
+from service.frames import SmallFrame, calib_json, detect_parts, grey_png
 from service.running import RunningService, running_service, wait_until_ready
 from service.test_bad_input import assert_problem
 from service.worker_jobs import modules
@@ -65,7 +65,8 @@ def test_work_that_a_worker_had_not_begun_is_done_by_the_next(own: RunningServic
 
 
 def test_a_request_that_its_worker_died_with_is_told_so(own: RunningService) -> None:
-    many = detect_parts(*[grey_png(width=4000, height=4000)] * 16)
+    calib = calib_json(image_size=[4000, 4000])
+    many = detect_parts(*[grey_png(width=4000, height=4000)] * 16, calib=calib)
     with ThreadPoolExecutor(2) as pool:
         lost = pool.submit(own.detect, many)
         running = 'boxlift_running_requests{pool="detect"} 1.0'
