@@ -24,6 +24,13 @@ def test_a_refused_request_costs_nothing_and_an_hour_saves_nothing_up() -> None:
     assert [limits.wait_s("studio", 2, 3600.0) > 0 for _ in range(4)] == [False, False, True, True]
 
 
+def test_half_a_token_is_none() -> None:
+    limits = RateLimits()
+    assert limits.wait_s("studio", 1, 0.0) == 0.0
+    assert limits.wait_s("studio", 1, 30.0) == pytest.approx(30.0)
+    assert limits.wait_s("studio", 1, 60.0) == 0.0
+
+
 def test_keys_do_not_share() -> None:
     limits = RateLimits()
     assert limits.wait_s("studio", 1, 0.0) == 0.0

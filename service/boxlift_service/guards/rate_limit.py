@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 _MINUTE_S = 60.0
+# Sums of floats must not cost the last token of a minute.
+_ROUNDING_S = 1e-3
 
 
 class RateLimits:
@@ -26,9 +28,8 @@ class RateLimits:
             self._full_at = {key: full_at for key, full_at in self._full_at.items() if full_at > now}
         token_s = _MINUTE_S / requests_per_minute
         full_at = max(self._full_at.get(name, now), now) + token_s
-        # Half a token: sums of floats must not cost the last one.
-        if full_at - now > _MINUTE_S + token_s / 2:
-            return full_at - now - _MINUTE_S
+        if full_at - now > _MINUTE_S + min(token_s / 2, _ROUNDING_S):
+            return min(full_at - now - _MINUTE_S, token_s)
         self._full_at[name] = full_at
         return 0.0
 
