@@ -40,6 +40,7 @@ from boxlift_service.settings import ServiceSettings
 from boxlift_service.telemetry.metrics import Metrics
 from boxlift_service.telemetry.observation import ObservationMiddleware, start_tracing
 from boxlift_service.workers.permits import Permits
+from boxlift_service.workers.place import Staff
 from boxlift_service.workers.pool import WorkerPool
 from boxlift_service.workers.process import WorkerProcess
 
@@ -147,4 +148,5 @@ def _label_pool(
         )
 
     permits = Permits(settings.permits_per_worker * settings.label_workers)
-    return WorkerPool("label", new_process, settings.label_workers, permits, metrics, settings.silence_s)
+    staff = Staff("label", new_process, settings.silence_s)
+    return WorkerPool(staff, settings.label_workers, permits, metrics)

@@ -15,6 +15,7 @@ from boxlift_service.problems import Kind, ProblemError
 from boxlift_service.telemetry.metrics import Metrics
 from boxlift_service.workers.deadline import Deadline
 from boxlift_service.workers.permits import Permits
+from boxlift_service.workers.place import Staff
 from boxlift_service.workers.pool import WorkerPool
 from boxlift_service.workers.process import WorkerDiedError, WorkerProcess
 from service.worker_jobs import (
@@ -42,14 +43,8 @@ async def started(
     silence_s: float = 60.0,
     metrics: Metrics | None = None,
 ) -> AsyncIterator[WorkerPool]:
-    pool = WorkerPool(
-        "test",
-        lambda: WorkerProcess(opener, arguments, limit_s),
-        count,
-        Permits(16.0),
-        metrics or Metrics(),
-        silence_s,
-    )
+    staff = Staff("test", lambda: WorkerProcess(opener, arguments, limit_s), silence_s)
+    pool = WorkerPool(staff, count, Permits(16.0), metrics or Metrics())
     pool.start()
     try:
         yield pool

@@ -27,6 +27,7 @@ from boxlift_service.settings import ServiceSettings
 from boxlift_service.telemetry.metrics import Metrics
 from boxlift_service.workers.deadline import Deadline
 from boxlift_service.workers.permits import Permits
+from boxlift_service.workers.place import Staff
 from boxlift_service.workers.pool import WorkerPool
 from boxlift_service.workers.process import WorkerDiedError, WorkerFaultError, WorkerProcess
 
@@ -50,14 +51,10 @@ class Detection:
         self._next_reload: asyncio.Task[None] | None = None
         self.detector = self.monocular = ModelInfo(missing=_NOT_LOADED)
         self.pool = WorkerPool(
-            "detect",
-            self._new_process,
+            Staff("detect", self._new_process, settings.silence_s, infos_of, self._learn),
             settings.detect_workers,
             Permits(settings.permits_per_worker * settings.detect_workers),
             metrics,
-            settings.silence_s,
-            greeting=infos_of,
-            on_greeting=self._learn,
         )
 
     def check_given_models(self) -> None:

@@ -60,7 +60,12 @@ class Deadline:
 
 @asynccontextmanager
 async def within(deadline: Deadline | None) -> AsyncIterator[None]:
-    """Cancel the body of the `async with` when the deadline passes, and raise ProblemError (504)."""
+    """Cancel the body of the `async with` when the deadline passes, and raise ProblemError (504).
+
+    Where it has passed, nothing is begun.
+    """
+    if deadline is not None and deadline.seconds_left() <= 0:
+        raise deadline.problem()
     try:
         async with asyncio.timeout(None if deadline is None else deadline.seconds_left()) as limit:
             yield
