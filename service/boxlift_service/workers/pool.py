@@ -78,9 +78,8 @@ class WorkerPool:
             await asyncio.wait(self._computing)
         for task in self._listening:
             task.cancel()
-        await asyncio.gather(
-            *self._listening, *(place.stop() for place in self._places), return_exceptions=True
-        )
+        await asyncio.gather(*self._listening, return_exceptions=True)
+        await asyncio.gather(*(place.stop() for place in self._places))
 
     def require_ready(self) -> None:
         """Raises ProblemError (503) unless every worker is open and was heard from."""
