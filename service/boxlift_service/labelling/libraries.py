@@ -1,4 +1,4 @@
-"""Imported by the fork server alone, the process whose copies label: a new worker takes .1 s, not 5.
+"""Imported by the fork server alone, the process whose copies label: a new worker is there at once.
 
 Loading computes nothing and starts no thread, so the copies are as good as new. What cannot be loaded is
 missed by the worker that wants to use it, and its opening says so.
