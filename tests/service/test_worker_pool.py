@@ -24,6 +24,7 @@ from service.worker_jobs import (
     crash,
     hang,
     kill_itself,
+    lacks_a_library,
     open_counter,
     open_if_there,
     opens_three_times,
@@ -206,8 +207,12 @@ def test_a_deadline_that_passes_while_work_is_done_answers_at_once_and_keeps_the
 
 @pytest.mark.parametrize(
     ("opener", "says"),
-    [(refuse, "it is wrong"), (crash, "it ended with status 7")],
-    ids=["refuses", "crashes"],
+    [
+        (refuse, "it is wrong"),
+        (crash, "it ended with status 7"),
+        (lacks_a_library, "libGL.so.1 is missing"),
+    ],
+    ids=["refuses", "crashes", "lacks a library"],
 )
 def test_where_no_worker_can_start_requests_are_told_why(opener: Callable[[], Any], says: str) -> None:
     async def scenario() -> None:

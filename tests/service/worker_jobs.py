@@ -22,6 +22,19 @@ def refuse() -> None:
     raise OptionsError("start", "it is wrong.", "Give another.")
 
 
+def lacks_a_library() -> None:
+    """An opener whose installation is broken."""
+    raise ImportError("libGL.so.1 is missing")
+
+
+def torch_threads(state: object) -> int:
+    """How many threads torch computes with there."""
+    del state
+    import torch
+
+    return int(torch.get_num_threads())
+
+
 def crash() -> None:
     """An opener that ends its process."""
     os._exit(7)
