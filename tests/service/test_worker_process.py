@@ -51,7 +51,7 @@ def test_work_runs_there_on_the_state_that_was_opened() -> None:
         with pytest.raises(WorkerFaultError, match="ZeroDivisionError: at 16"):
             worker.call(fault)
         assert worker.call(Count(0)) == (pid, 16)
-    assert not worker.lives
+    assert worker.pid is None
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
 
@@ -63,7 +63,7 @@ def test_a_worker_that_dies_says_how_and_can_be_replaced() -> None:
         with pytest.raises(WorkerDiedError, match="ended by SIGKILL"):
             worker.call(kill_itself)
         assert ended.wait(10)
-        assert not worker.lives
+        assert worker.pid is None
         with pytest.raises(WorkerDiedError, match="has not been started"):
             worker.call(Count(1))
         worker.start()
@@ -87,7 +87,7 @@ def test_a_worker_that_does_not_even_read_is_ended() -> None:
         os.kill(pid, signal.SIGSTOP)
         with pytest.raises(WorkerDiedError, match="no answer within 5 s"):
             worker.call(Echo(bytes(20_000_000)))
-        assert not worker.lives
+        assert worker.pid is None
 
 
 def test_a_worker_that_hangs_ends_with_its_parent() -> None:
@@ -118,4 +118,4 @@ def test_an_opener_that_fails(opener: Callable[[], Any], error: type[Exception],
     worker: WorkerProcess[Any] = WorkerProcess(opener, (), 60)
     with pytest.raises(error, match=says):
         worker.start()
-    assert not worker.lives
+    assert worker.pid is None

@@ -80,12 +80,6 @@ class WorkerProcess(Generic[State]):
         self._pulse_lock = threading.Lock()
 
     @property
-    def lives(self) -> bool:
-        """Whether there is a process that was opened and has not ended."""
-        # Not is_alive: a process lets go of its sentinel a moment before it can be waited for.
-        return self._process is not None and not wait([self._process.sentinel], timeout=0)
-
-    @property
     def pid(self) -> int | None:
         """Number of the process, where there is one."""
         process = self._process
