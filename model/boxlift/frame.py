@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from boxlift.boxes import Boxes3D
 from boxlift.camera import Calibration
 from boxlift.errors import ImageError, PointCloudError, PromptError
+from boxlift.sweep import SweepView
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class Frame:
     prompts: what to label.
     image: (H, W, 3) uint8 RGB, where there is one.
     instance_ids: (H, W) unsigned integers where there are masks: prompt index + 1, 0 is no object.
+    view: where it belongs among the cameras and sweeps of its data set; no labeller asks.
 
     Raises PointCloudError, ImageError or PromptError where an array has the wrong shape.
     """
@@ -48,6 +50,7 @@ class Frame:
     prompts: tuple[Prompt, ...] = ()
     image: NDArray[np.uint8] | None = None
     instance_ids: NDArray[np.unsignedinteger] | None = None
+    view: SweepView | None = None
 
     def __post_init__(self) -> None:
         if self.points_velo.ndim != 2 or self.points_velo.shape[1] < 3:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from boxlift.datasets.plain_answers import NoAnnotations
 from boxlift.datasets.plain_folder import files_by_stem
 from boxlift.errors import DatasetError
 from boxlift.formats import calibration, image
@@ -23,7 +24,7 @@ _LAYOUTS = (("training", "image_2"), ("testing", "image_2"), ("image_2",))
 
 
 @dataclass(frozen=True)
-class ImageFolder:
+class ImageFolder(NoAnnotations):
     """Images by name, each with a camera.
 
     root: beside whose parts labels may lie. images: name -> file. calib: a file for all images, a folder with

@@ -6,8 +6,12 @@ Source: the KITTI object development kit's readme (Geiger et al., CVPR 2012).
 from __future__ import annotations
 
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from boxlift.datasets.plain_folder import PlainFolder
+
+if TYPE_CHECKING:
+    from boxlift.storage import AnyPath
 
 
 class KittiObjectFolder(PlainFolder):
@@ -16,7 +20,17 @@ class KittiObjectFolder(PlainFolder):
     A frame whose point cloud is missing is still a frame; loading it says what is missing.
     """
 
+    layout = "KITTI object"
+
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of all frames, sorted."""
         return tuple(sorted(self._points.keys() | self._images.keys() | self._calibrations.keys()))
+
+
+def recognise(root: AnyPath) -> KittiObjectFolder | None:
+    """A root that holds training/ or testing/; of both, training/ (name ROOT/testing to have the other)."""
+    for split in ("training", "testing"):
+        if (root / split / "velodyne").is_dir():
+            return KittiObjectFolder(root / split)
+    return None

@@ -11,15 +11,22 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from boxlift.datasets.plain_answers import NoAnnotations, RectifiedImages
 from boxlift.errors import DatasetError, NoLidarError
 from boxlift.formats import calibration, image, point_cloud
 from boxlift.formats.calibration import ParsedCalibration
 from boxlift.frame import Frame, Prompt
 
+if TYPE_CHECKING:
+    from boxlift.storage import AnyPath
 
-class PlainFolder:
+
+class PlainFolder(NoAnnotations, RectifiedImages):
     """FrameSource for a folder that holds velodyne/ and calib/."""
+
+    layout = "plain folder"
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -103,6 +110,11 @@ class PlainFolder:
                 "Give the calibration of this image.",
             )
         return size
+
+
+def recognise(root: AnyPath) -> PlainFolder | None:
+    """A folder that holds velodyne/ (and calib/)."""
+    return PlainFolder(root) if (root / "velodyne").is_dir() else None
 
 
 def files_by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:

@@ -3,38 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol, cast
 
-from boxlift.datasets.kitti_object import KittiObjectFolder
-from boxlift.datasets.plain_folder import PlainFolder
+import numpy as np
+from numpy.typing import NDArray
+
 from boxlift.errors import DatasetError
 from boxlift.formats import kitti_label
 from boxlift.formats.kitti_label import KittiObject
 from boxlift.frame import Frame, Prompt
+
+if TYPE_CHECKING:
+    from boxlift.storage import AnyPath
+
+# Modules of this package, each with `recognise(root) -> FrameSource | None`, in the order in which they are
+# asked. They are imported when a source is opened: some need libraries that others do not.
+_LAYOUTS = ("kitti_object", "plain_folder")
 
 
 class Source(Protocol):
     """A folder of frames or images."""
 
     @property
-    def root(self) -> Path:
+    def root(self) -> AnyPath:
         """The folder beside whose parts (velodyne/, image_2/, calib/) labels may lie."""
+
+    @property
+    def label_names(self) -> Sequence[str]:
+        """What `objects` knows: the data set's own annotations, beyond folders of KITTI text files."""
+
+    def objects(self, labels: str, name: str) -> list[KittiObject]:
+        """The annotations `labels` (of label_names) of a frame, in its rectified camera.
+
+        2D boxes are the data set's own, else the outlines of its 3D boxes in the image. Raises DatasetError.
+        """
 
 
 class FrameSource(Source, Protocol):
-    """Frames by name."""
+    """Frames by name. A frame is one camera's view of one LiDAR sweep."""
+
+    @property
+    def layout(self) -> str:
+        """The layout's name as its users know it, e.g. "KITTI raw"."""
 
     @property
     def names(self) -> Sequence[str]:
-        """Names of all frames, sorted: every stem that has points or an image."""
+        """Names of all frames, sorted; each is the stem of a file name."""
+
+    def rectified_boxes(self, name: str, boxes_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N, 4) boxes x1, y1, x2, y2 of the image as it was recorded -> those of the image that `load`
+        gives. The same where images are recorded rectified."""
 
     def load(
         self,
         name: str,
         prompts: tuple[Prompt, ...] = (),
         *,
-        masks: Path | None = None,
+        masks: AnyPath | None = None,
         with_image: bool = False,
     ) -> Frame:
         """One frame. `masks` is a folder of instance masks; pixels are decoded only `with_image`.
@@ -43,20 +70,17 @@ class FrameSource(Source, Protocol):
         """
 
 
-def open_source(root: Path) -> FrameSource:
-    """A KITTI object root (it holds training/ or testing/) or a plain folder (velodyne/ and calib/).
+def open_source(root: AnyPath) -> FrameSource:
+    """The data set in a folder (or file), in the first layout of _LAYOUTS that recognises it.
 
-    Of a root with both splits, training/ is taken; name ROOT/testing to have the other.
-    Raises DatasetError where the folder is neither.
+    Raises DatasetError where none does.
     """
-    if not root.is_dir():
+    if not root.exists():
         raise DatasetError(str(root), "the folder does not exist.", "Check the path.")
-    for split in ("training", "testing"):
-        if (root / split / "velodyne").is_dir():
-            return KittiObjectFolder(root / split)
-    if (root / "velodyne").is_dir():
-        return PlainFolder(root)
-    found = sorted(path.name for path in root.iterdir())[:8]
+    for layout in _LAYOUTS:
+        if (source := import_module(f"boxlift.datasets.{layout}").recognise(root)) is not None:
+            return cast(FrameSource, source)
+    found = sorted(path.name for path in root.iterdir())[:8] if root.is_dir() else ["a file"]
     raise DatasetError(
         str(root),
         f"the folder is no dataset (it holds {', '.join(found) or 'nothing'}).",
@@ -84,6 +108,8 @@ def load_objects(labels: str | Path, source: Source, name: str) -> list[KittiObj
 
     Raises DatasetError where folder or file is missing, LabelFormatError where a line is malformed.
     """
+    if labels in source.label_names:
+        return source.objects(str(labels), name)
     path = find_labels(labels, source) / f"{name}.txt"
     if not path.is_file():
         raise DatasetError(

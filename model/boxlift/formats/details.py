@@ -6,12 +6,15 @@ bytes. KITTI's own numbers are rounded as KITTI writes them.
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
 from boxlift.boxes import Boxes3D
 from boxlift.formats import kitti_label
 from boxlift.formats.kitti_label import KittiObject, object_of
 from boxlift.frame import FrameLabels, Hypothesis, LossTerms, ObjectLabel, PointCounts
+from boxlift.sweep import SweepView
 
 
 class _Details(BaseModel):
@@ -107,6 +110,20 @@ class WarningDetails(_Details):
     sentence: str = Field(description="What the data say, with the numbers, and what to check.")
 
 
+Matrix = tuple[tuple[float, ...], ...]
+
+
+class ViewDetails(_Details):
+    """Which camera's view of which sweep a frame is. The ego frame is the vehicle's, or else the LiDAR's."""
+
+    sweep: str = Field(description="Name shared by all views of the sweep.")
+    camera: str
+    ego_SE3_cam: Matrix = Field(description="4 x 4, rectified camera frame to ego frame, metres.")
+    log: str = Field("", description="The drive that the sweep belongs to.")
+    timestamp_ns: int | None = Field(None, description="Of the sweep.")
+    world_SE3_ego: Matrix | None = Field(None, description="4 x 4, ego frame to the data set's fixed frame.")
+
+
 class FrameDetails(_Details):
     """What became of every prompt of a frame, in the order of the prompts."""
 
@@ -120,6 +137,9 @@ class FrameDetails(_Details):
         description="SHA-256 of the file of the detector that found the prompts, or of the monocular model "
         "that predicted the boxes; null: prompts were given, and LiDAR.",
     )
+    view: ViewDetails | None = Field(
+        None, description="Where the frame belongs among the cameras and sweeps of its data set."
+    )
 
 
 def details_of(labels: FrameLabels, model_digest: str | None = None) -> FrameDetails:
@@ -132,6 +152,22 @@ def details_of(labels: FrameLabels, model_digest: str | None = None) -> FrameDet
         ),
         model_digest=model_digest,
     )
+
+
+def view_details_of(view: SweepView) -> ViewDetails:
+    """A view -> its details, rounded to nanometres: poses may be kilometres from their origin."""
+    return ViewDetails(
+        sweep=view.sweep,
+        camera=view.camera,
+        ego_SE3_cam=_matrix(view.ego_SE3_cam),
+        log=view.log,
+        timestamp_ns=view.timestamp_ns,
+        world_SE3_ego=None if view.world_SE3_ego is None else _matrix(view.world_SE3_ego),
+    )
+
+
+def _matrix(values: NDArray[np.float64]) -> Matrix:
+    return tuple(tuple(round(float(value), 9) + 0.0 for value in row) for row in values)
 
 
 def to_text(labels: FrameLabels) -> str:
