@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from time import perf_counter
 
 from boxlift.datasets import ImageFolder, load_prompts, open_images
 from boxlift.formats.details import FrameDetails
 from boxlift.frame import Prompt
-from boxlift_client.job import FrameReport, Outcome, report
+from boxlift_client.job import FrameReport, Outcome, report_of, report_of_failure
 from boxlift_client.label_files import write_label_files
 
 
@@ -42,14 +43,13 @@ class ImageWorker:
         self._folder = open_images(job.images, job.calib)
 
     def detect_one(self, name: str) -> FrameReport:
-        """Read, detect and write one image. Whatever is wrong with it is told in the report.
-
-        Raises MissingExtraError, which no other image would fare better with.
-        """
-        return report(name, lambda: self._detect_and_write(name))
-
-    def _detect_and_write(self, name: str) -> tuple[Outcome, str, FrameDetails]:
-        prompts = None if self._job.prompts is None else load_prompts(self._job.prompts, self._folder, name)
-        details = self._detect(self._folder, name, prompts)
-        write_label_files(self._job.out, name, details)
-        return Outcome.LABELLED, "", details
+        """Read, detect and write one image. Never raises: whatever is wrong is told in the report."""
+        start = perf_counter()
+        try:
+            labels = self._job.prompts
+            prompts = None if labels is None else load_prompts(labels, self._folder, name)
+            details = self._detect(self._folder, name, prompts)
+            digest = write_label_files(self._job.out, name, details)
+            return report_of(name, Outcome.LABELLED, "", details, digest, perf_counter() - start)
+        except Exception as error:
+            return report_of_failure(name, error, perf_counter() - start)

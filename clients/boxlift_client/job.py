@@ -2,39 +2,53 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from boxlift.datasets import FrameSource, load_prompts, open_source
 from boxlift.errors import BoxliftError, DatasetError, MissingExtraError, NoLidarError
-from boxlift.formats.details import FrameDetails, details_of
+from boxlift.formats.details import FrameDetails, details_of, view_details_of
 from boxlift.frame import Frame, FrameLabels, Prompt, Result
 from boxlift.settings import ACCURATE, LabellerSettings
+from boxlift.sweep import SweepView
 from boxlift_client.label_files import write_label_files
+
+if TYPE_CHECKING:
+    from boxlift.storage import AnyPath
 
 # As `prompts` of a job: what a detector finds in each image.
 DETECTOR = "detector"
+# The slowest frames take seconds: one that takes this long hangs.
+DEFAULT_FRAME_TIMEOUT_S = 120.0
+# What the one camera of a data set without names for cameras is called.
+ONLY_CAMERA = "image_2"
 
 
 @dataclass(frozen=True)
 class LabelJob:
     """Where frames and prompts come from, how they are labelled, and where the labels go.
 
-    source: a dataset root or folder. out: the labels' folder. prompts: a folder of KITTI text files,
-    inside the source (`label_2`, `det_2d`) or anywhere; or DETECTOR. masks: a folder of instance masks.
-    detector: the file of a detector, for workers on this machine; the one in boxlift where None. A job is
+    source: a dataset root or folder. out: the label set's folder. prompts: a folder of KITTI text files,
+    inside the source (`label_2`, `det_2d`) or anywhere; annotations that the data set has (`tracklets`); or
+    DETECTOR. masks: a folder of instance masks. detector: the file of a detector, for workers on this
+    machine; the one in boxlift where None. frame_timeout_s: a frame that takes longer has failed. A job is
     plain data, so that processes and machines can be handed it.
     """
 
-    source: Path
-    out: Path
+    source: AnyPath
+    out: AnyPath
     prompts: str = DETECTOR
-    masks: Path | None = None
+    masks: AnyPath | None = None
     settings: LabellerSettings = ACCURATE
     detector: Path | None = None
+    frame_timeout_s: float = DEFAULT_FRAME_TIMEOUT_S
 
     @property
     def detects(self) -> bool:
@@ -54,7 +68,9 @@ class Outcome(StrEnum):
 class FrameReport:
     """What became of a frame: (result, sentence) per prompt, or the sentence why it has no labels.
 
-    warnings: (name, sentence) of every doubt about its calibration.
+    warnings: (name, sentence) of every doubt about its calibration. boxes: prompts that have a box. digest:
+    SHA-256 over the bytes of its two files, where they were written. fatal: it failed for a reason that no
+    other frame would fare better with (a disk that is full, a library that is missing).
     """
 
     frame: str
@@ -63,27 +79,43 @@ class FrameReport:
     results: tuple[tuple[str, str], ...] = ()
     warnings: tuple[tuple[str, str], ...] = ()
     seconds: float = 0.0
+    boxes: int = 0
+    digest: str | None = None
+    fatal: bool = False
 
 
-def report(name: str, work: Callable[[], tuple[Outcome, str, FrameDetails]]) -> FrameReport:
-    """What became of the frame `name` by `work`: outcome, sentence and details, or whatever it raised.
+def report_of(
+    name: str, outcome: Outcome, sentence: str, details: FrameDetails, digest: str, seconds: float
+) -> FrameReport:
+    """The report of a frame whose files were written."""
+    return FrameReport(
+        name,
+        outcome,
+        sentence,
+        results=tuple((item.result, item.sentence) for item in details.objects),
+        warnings=tuple((item.name, item.sentence) for item in details.warnings),
+        seconds=seconds,
+        boxes=sum(item.kitti is not None for item in details.objects),
+        digest=digest,
+    )
 
-    Raises MissingExtraError, which no other frame would fare better with.
-    """
-    start = perf_counter()
-    try:
-        outcome, sentence, details = work()
-    except MissingExtraError:
-        raise
-    except BoxliftError as error:
-        return FrameReport(name, Outcome.FAILED, str(error), seconds=perf_counter() - start)
-    # One frame's surprise (a full disk, a fault of ours) must not cost the others.
-    except Exception as error:
-        sentence = f"{type(error).__name__}: {error}"
-        return FrameReport(name, Outcome.FAILED, sentence, seconds=perf_counter() - start)
-    results = tuple((item.result, item.sentence) for item in details.objects)
-    warnings = tuple((item.name, item.sentence) for item in details.warnings)
-    return FrameReport(name, outcome, sentence, results, warnings, seconds=perf_counter() - start)
+
+def report_of_failure(name: str, error: Exception, seconds: float) -> FrameReport:
+    """The report of a frame that raised `error`; one frame's surprise must not cost the others."""
+    sentence = str(error) if isinstance(error, BoxliftError) else f"{type(error).__name__}: {error}"
+    full = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
+    fatal = full or isinstance(error, MissingExtraError)
+    return FrameReport(name, Outcome.FAILED, sentence, seconds=seconds, fatal=fatal)
+
+
+@dataclass(frozen=True)
+class LoadedFrame:
+    """A frame that waits to be labelled; `details` are there at once where it has no LiDAR to label from."""
+
+    name: str
+    frame: Frame | None
+    details: FrameDetails | None = None
+    sentence: str = ""
 
 
 class FrameWorker:
@@ -98,25 +130,36 @@ class FrameWorker:
         self._source: FrameSource = open_source(job.source)
 
     def label_one(self, name: str) -> FrameReport:
-        """Load, label and write one frame. Whatever is wrong with the frame is told in the report.
+        """Load, label and write one frame. Never raises: whatever is wrong is told in the report."""
+        start = perf_counter()
+        try:
+            loaded = self.load(name)
+            details = self._label(loaded.frame) if loaded.frame else loaded.details
+            assert details is not None
+            return self.finish(loaded, details, perf_counter() - start)
+        except Exception as error:
+            return report_of_failure(name, error, perf_counter() - start)
 
-        Raises MissingExtraError, which no other frame would fare better with.
-        """
-        return report(name, lambda: self._label_and_write(name))
-
-    def _label_and_write(self, name: str) -> tuple[Outcome, str, FrameDetails]:
-        frame, outcome, sentence = None, Outcome.LABELLED, ""
+    def load(self, name: str) -> LoadedFrame:
+        """The frame with its prompts, for `label`. Raises BoxliftError."""
+        frame, sentence = None, ""
         try:
             frame = self._source.load(name, masks=self._job.masks, with_image=self._job.detects)
         except NoLidarError as error:
-            outcome, sentence = Outcome.SKIPPED, str(error)
+            sentence = str(error)
         prompts = self._prompts(name, frame)
         if frame is None:
-            details = details_of(FrameLabels.without_boxes(name, prompts, Result.NO_LIDAR))
-        else:
-            details = self._label(replace(frame, prompts=prompts))
-        write_label_files(self._job.out, name, details)
-        return outcome, sentence, details
+            nothing = details_of(FrameLabels.without_boxes(name, prompts, Result.NO_LIDAR))
+            return LoadedFrame(name, None, nothing, sentence)
+        return LoadedFrame(name, replace(frame, prompts=prompts))
+
+    def finish(self, loaded: LoadedFrame, details: FrameDetails, seconds: float) -> FrameReport:
+        """Write the files of a frame. Raises OSError where they cannot be written."""
+        if loaded.frame is not None:
+            details = details.model_copy(update={"view": view_details_of(_view(loaded.frame))})
+        digest = write_label_files(self._job.out, loaded.name, details)
+        outcome = Outcome.LABELLED if loaded.frame else Outcome.SKIPPED
+        return report_of(loaded.name, outcome, loaded.sentence, details, digest, seconds)
 
     def _prompts(self, name: str, frame: Frame | None) -> tuple[Prompt, ...]:
         """Those on disk; none yet where they are to be found in the image. Raises InputError."""
@@ -129,3 +172,14 @@ class FrameWorker:
                 "Add its image, or give 2D boxes with --prompts.",
             )
         return ()
+
+
+def _view(frame: Frame) -> SweepView:
+    """The frame's own; where it has none, its LiDAR frame is the ego frame and its camera the only one."""
+    if frame.view is not None:
+        return frame.view
+    rotation, translation = frame.calibration.cam_SE3_velo[:3, :3], frame.calibration.cam_SE3_velo[:3, 3]
+    velo_SE3_cam = np.eye(4)
+    velo_SE3_cam[:3, :3] = rotation.T
+    velo_SE3_cam[:3, 3] = -rotation.T @ translation
+    return SweepView(frame.name, ONLY_CAMERA, velo_SE3_cam)
