@@ -10,7 +10,8 @@ BoxliftError
 │   │   └── ServiceFailedError      5xx: the service is at fault, or cannot do this (yet)
 │   └── UnexpectedAnswerError       the answer is not one of boxlift's
 ├── ServiceStartError               a service that was started here does not come up
-└── WorkersCannotStartError         the processes of the local engine end before their first frame
+├── WorkersCannotStartError         the processes of the local engine end before their first frame
+└── RunStoppedError                 a run over a data set that no further frame would fare better in
 """
 
 from __future__ import annotations
@@ -86,3 +87,7 @@ class ServiceStartError(BoxliftError):
 
 class WorkersCannotStartError(BoxliftError):
     """The worker processes of the local engine end before their first frame."""
+
+
+class RunStoppedError(BoxliftError):
+    """A run stopped before its last frame, for a reason that every frame would meet; it can be resumed."""

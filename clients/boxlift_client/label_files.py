@@ -9,31 +9,39 @@ labels come from a process here or from a service.
 
 from __future__ import annotations
 
-import os
-import threading
-from pathlib import Path
+import hashlib
+from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
 from boxlift.errors import LabelFormatError
 from boxlift.formats.details import FrameDetails, ObjectDetails, kitti_object_of, kitti_text, parse_text
 from boxlift.formats.kitti_label import UNKNOWN_ANGLE, UNKNOWN_LOCATION, UNKNOWN_SIZE, KittiObject
+from boxlift.storage import write_whole
+
+if TYPE_CHECKING:
+    from boxlift.storage import AnyPath
 
 
-def data_path(out: Path, name: str) -> Path:
+def data_path(out: AnyPath, name: str) -> AnyPath:
     """Where a frame's labels are."""
     return out / "data" / f"{name}.txt"
 
 
-def details_path(out: Path, name: str) -> Path:
+def details_path(out: AnyPath, name: str) -> AnyPath:
     """Where a frame's details are."""
     return out / "details" / f"{name}.json"
 
 
-def write_label_files(out: Path, name: str, details: FrameDetails) -> None:
-    """Write both files; the labels last, so that whoever finds them finds the details too."""
-    _write_atomically(details_path(out, name), details_text(details))
-    _write_atomically(data_path(out, name), kitti_text(details))
+def write_label_files(out: AnyPath, name: str, details: FrameDetails) -> str:
+    """Write both files; the labels last, so that whoever finds them finds the details too.
+
+    Returns their digest: the SHA-256 over the bytes of both, details first.
+    """
+    texts = (details_text(details).encode(), kitti_text(details).encode())
+    for path, text in zip((details_path(out, name), data_path(out, name)), texts, strict=True):
+        write_whole(path, text)
+    return hashlib.sha256(b"".join(texts)).hexdigest()
 
 
 def details_text(details: FrameDetails) -> str:
@@ -41,7 +49,7 @@ def details_text(details: FrameDetails) -> str:
     return details.model_dump_json(by_alias=True, indent=2) + "\n"
 
 
-def read_objects(path: Path) -> list[KittiObject]:
+def read_objects(path: AnyPath) -> list[KittiObject]:
     """The prompts of a details file as KITTI lines, in their order; one without a box has placeholders.
 
     Raises LabelFormatError.
@@ -65,18 +73,3 @@ def _without_box(item: ObjectDetails) -> KittiObject:
         bottom_center_cam=UNKNOWN_LOCATION,
         rotation_y=UNKNOWN_ANGLE,
     )
-
-
-def _write_atomically(path: Path, text: str) -> None:
-    """Write beside, flush to disk, rename: a reader, or a crash, sees the old file or the new one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.tmp")
-    try:
-        with beside.open("w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise

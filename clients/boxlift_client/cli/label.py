@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -12,40 +15,50 @@ from boxlift.datasets.frames_file import read_frames
 from boxlift.errors import DatasetError, OptionsError
 from boxlift.formats.size_priors import read_size_priors
 from boxlift.settings import DEFAULT_PRESET, PRESETS, LabellerSettings, preset
+from boxlift.storage import open_path
 from boxlift_client.cli.detection import DetectorOption, MinScoreOption, with_detection
-from boxlift_client.job import DETECTOR
+from boxlift_client.job import DEFAULT_FRAME_TIMEOUT_S, DETECTOR
+from boxlift_client.shard import parse_shard
 
 if TYPE_CHECKING:
+    from boxlift.storage import AnyPath
     from boxlift_client.engines import Engine
 
 _INTERRUPTED = 130  # as shells count: 128 + SIGINT
+_TERMINATED = 143  # 128 + SIGTERM
 
 
 def label(
     source: Annotated[
-        Path,
+        str,
         typer.Argument(
-            help="Dataset root (KITTI object: the folder that holds training/), or a folder with velodyne/ "
-            "and calib/.",
+            help="Dataset root in any layout of docs/datasets.md (KITTI object: the folder that holds "
+            "training/), or a folder with velodyne/ and calib/; here, or as s3://BUCKET/FOLDER.",
             metavar="SOURCE",
             show_default=False,
         ),
     ],
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder for data/ and details/.", show_default=False)
+        str,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of the label set, here or as s3://BUCKET/FOLDER. Frames that it has are not labelled "
+            "again.",
+            show_default=False,
+        ),
     ],
     prompts: Annotated[
         str,
         typer.Option(
             metavar="NAME|DIR",
-            help="2D boxes: label_2 or det_2d (in the source), or any folder of KITTI text files. "
-            "detector: found in each image.",
+            help="2D boxes: label_2 or det_2d (in the source), any folder of KITTI text files, or the data "
+            "set's own annotations (tracklets, annotations, camera_box, ...). detector: found in each image.",
         ),
     ] = DETECTOR,
     detector: DetectorOption = None,
     min_score: MinScoreOption = None,
     masks: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
             metavar="DIR",
             help="Folder of instance masks STEM.png: pixel = prompt index + 1 (without DontCare), 0 = none.",
@@ -66,25 +79,56 @@ def label(
         typer.Option(metavar="FILE", help="TOML file with sizes per class, laid over the built-in ones."),
     ] = None,
     engine: Annotated[
-        Literal["local", "http"], typer.Option(help="Processes on this machine, or a boxlift service.")
+        Literal["local", "http", "ray"],
+        typer.Option(help="Processes on this machine, boxlift services, or a Ray cluster."),
     ] = "local",
     url: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="URL",
+            help="A service of --engine http; give it once for each.  [default: http://127.0.0.1:8000]",
+        ),
+    ] = None,
+    ray_address: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="The service of --engine http.  [default: http://127.0.0.1:8000]"),
+        typer.Option(
+            metavar="ADDRESS",
+            help="The cluster of --engine ray: auto, or HOST:PORT.  [default: RAY_ADDRESS, else one here]",
+        ),
     ] = None,
     frames: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="File with the frames to label, one a line.  [default: all]"),
     ] = None,
+    shard_name: Annotated[
+        str | None,
+        typer.Option(
+            "--shard",
+            metavar="I/N",
+            help="Label the I-th of N parts of the frames, I from 0; auto: what a Kubernetes indexed job or a "
+            "SLURM array says.",
+        ),
+    ] = None,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Try frames again that failed in earlier runs.")
+    ] = False,
+    frame_timeout_s: Annotated[
+        float,
+        typer.Option(
+            "--frame-timeout", min=0.1, metavar="SECONDS", help="A frame that takes longer has failed."
+        ),
+    ] = DEFAULT_FRAME_TIMEOUT_S,
     workers: Annotated[
         int | None,
         typer.Option(min=1, metavar="N", help="Processes, or requests at a time.  [default: by cores, or 4]"),
     ] = None,
 ) -> None:
-    """Label every frame of a dataset.
+    """Label every frame of a dataset that the label set does not have yet.
 
     Writes OUT/data/STEM.txt (KITTI result format) and OUT/details/STEM.json (what became of every
-    prompt). Exits with 1 where frames failed; frames without LiDAR are skipped: their files hold no box.
+    prompt), and a row for every frame into OUT/ledger/: the same command goes on where it was killed.
+    Exits with 1 where frames failed (they are in OUT/failed.csv); frames without LiDAR are skipped:
+    their files hold no box.
     """
     from boxlift_client.cli.progress import progress_bar
     from boxlift_client.job import LabelJob
@@ -97,21 +141,27 @@ def label(
         raise OptionsError(
             "detector", "the service has its own;", "give it to boxlift serve, or use --engine local."
         )
-    if masks is not None:
-        if prompts == DETECTOR:
-            raise OptionsError("masks", "masks number prompts that are given;", "give --prompts too.")
-        masks = _find_masks(masks, source)
-    job = LabelJob(source, out, prompts, masks, settings, detector)
-    chosen_engine = _engine(engine, url, workers)
+    root, folder = open_path(source), open_path(out)
+    if masks is not None and prompts == DETECTOR:
+        raise OptionsError("masks", "masks number prompts that are given;", "give --prompts too.")
+    masks_folder = None if masks is None else _find_masks(masks, root)
+    job = LabelJob(root, folder, prompts, masks_folder, settings, detector, frame_timeout_s)
+    chosen_engine = _engine(engine, url, ray_address, workers)
     names = None if frames is None else read_frames(frames)
+    shard = None if shard_name is None else parse_shard(shard_name)
     try:
-        with progress_bar("Labelling") as progress:
-            summary = label_dataset(job, chosen_engine, names, progress)
-    except KeyboardInterrupt:
-        print(f"Interrupted. The frames that were finished are in {out}.", file=sys.stderr)
-        raise typer.Exit(_INTERRUPTED) from None
+        with _termination_interrupts(), progress_bar("Labelling") as progress:
+            summary = label_dataset(
+                job, chosen_engine, names, progress, shard=shard, retry_failed=retry_failed
+            )
+    except KeyboardInterrupt as interrupt:
+        print(
+            f"Interrupted. The frames that were finished are in {out}; the same command goes on with the rest.",
+            file=sys.stderr,
+        )
+        raise typer.Exit(_TERMINATED if interrupt.args else _INTERRUPTED) from None
     print(summary.text())
-    print(f"Labels are in {out / 'data'}, details in {out / 'details'}.")
+    print(f"Labels are in {folder / 'data'}, details in {folder / 'details'}.")
     if not summary.complete:
         raise typer.Exit(1)
 
@@ -127,24 +177,43 @@ def _settings(preset_name: str, size: str | None) -> LabellerSettings:
     return settings.with_options({"repairs": {"size": size}})
 
 
-def _engine(name: str, url: str | None, workers: int | None) -> Engine:
+def _engine(name: str, urls: list[str] | None, ray_address: str | None, workers: int | None) -> Engine:
+    for option, given, engine in (("url", urls, "http"), ("ray_address", ray_address, "ray")):
+        if given and name != engine:
+            raise OptionsError(option, f"{given!r} is given to --engine {name}.", f"Add --engine {engine}.")
     if name == "http":
         from boxlift_client.client import DEFAULT_URL
         from boxlift_client.engines.http import HttpEngine
 
-        return HttpEngine(url or DEFAULT_URL, workers)
+        return HttpEngine(urls or [DEFAULT_URL], workers)
+    if name == "ray":
+        from boxlift_client.engines.ray import RayEngine
+
+        return RayEngine(workers, address=ray_address)
     from boxlift_client.engines.local import LocalEngine
 
-    if url is not None:
-        raise OptionsError("url", f"{url!r} is given to the local engine.", "Add --engine http.")
     return LocalEngine(workers)
 
 
-def _find_masks(masks: Path, source: Path) -> Path:
+@contextmanager
+def _termination_interrupts() -> Iterator[None]:
+    """SIGTERM, as clusters send it before they take a machine, ends a run as Ctrl-C does: nothing is lost."""
+
+    def interrupt(signum: int, _: object) -> None:
+        raise KeyboardInterrupt(signum)
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _find_masks(masks: str, source: AnyPath) -> AnyPath:
     """The folder of masks: as a path, or inside the source, as prompts are found."""
     from boxlift.datasets import open_source
 
-    for folder in (open_source(source).root / masks, masks):
+    for folder in (open_source(source).root / masks, open_path(masks)):
         if folder.is_dir():
             return folder
     raise DatasetError(

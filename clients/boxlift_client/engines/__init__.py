@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from boxlift_client.detect_job import DetectJob
 from boxlift_client.job import FrameReport, LabelJob
 
 
+@dataclass(frozen=True)
+class LabellerIdentity:
+    """Who labels: the version of boxlift, and the SHA-256 of the detector's file where it finds the prompts."""
+
+    version: str
+    detector_digest: str | None
+
+
 class Engine(Protocol):
     """Labels the frames of a job, in any order, each once."""
+
+    def identity(self, job: LabelJob) -> LabellerIdentity:
+        """Who would label the frames of a job. Raises BoxliftError where nobody would."""
 
     def run(self, job: LabelJob, names: Sequence[str]) -> Iterator[FrameReport]:
         """One report per frame, as they finish. Raises BoxliftError where no frame could be labelled."""
