@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 # As `prompts` of a job: what a detector finds in each image.
 DETECTOR = "detector"
-# The slowest frames take seconds: one that takes this long hangs.
-DEFAULT_FRAME_TIMEOUT_S = 120.0
 # What the one camera of a data set without names for cameras is called.
 ONLY_CAMERA = "image_2"
 
@@ -38,8 +36,8 @@ class LabelJob:
     source: a dataset root or folder. out: the label set's folder. prompts: a folder of KITTI text files,
     inside the source (`label_2`, `det_2d`) or anywhere; annotations that the data set has (`tracklets`); or
     DETECTOR. masks: a folder of instance masks. detector: the file of a detector, for workers on this
-    machine; the one in boxlift where None. frame_timeout_s: a frame that takes longer has failed. A job is
-    plain data, so that processes and machines can be handed it.
+    machine; the one in boxlift where None. frame_timeout_s: a frame that takes longer has failed; None: the
+    engine tells from the others. A job is plain data, so that processes and machines can be handed it.
     """
 
     source: AnyPath
@@ -48,7 +46,7 @@ class LabelJob:
     masks: AnyPath | None = None
     settings: LabellerSettings = ACCURATE
     detector: Path | None = None
-    frame_timeout_s: float = DEFAULT_FRAME_TIMEOUT_S
+    frame_timeout_s: float | None = None
 
     @property
     def detects(self) -> bool:

@@ -26,7 +26,7 @@ _FORMAT = 1
 
 
 class SourceEntry(BaseModel):
-    """A data set whose frames are in the label set. `id` stays where the data set moves and `path` with it."""
+    """A data set whose frames are in the label set. `id` stays where the data set moves, and `path` does."""
 
     model_config = ConfigDict(frozen=True)
 

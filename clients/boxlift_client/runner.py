@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -13,8 +13,8 @@ from boxlift_client.detect_job import DetectJob
 from boxlift_client.engines import DetectEngine, Engine
 from boxlift_client.errors import RunStoppedError
 from boxlift_client.job import FrameReport, LabelJob, Outcome
-from boxlift_client.leftovers import remove_leftovers, write_failed
 from boxlift_client.ledger import LedgerRow, LedgerState, LedgerWriter, read_ledger
+from boxlift_client.leftovers import remove_leftovers, write_failed
 from boxlift_client.manifest import Manifest, join_label_set
 from boxlift_client.shard import Shard
 from boxlift_client.summary import RunSummary
@@ -74,6 +74,8 @@ def label_dataset(
             summary.add(report)
             on_progress(summary.before + summary.counted, len(chosen))
     finally:
+        if isinstance(reports, Generator):
+            reports.close()  # ends the workers, also on Ctrl-C
         writer.flush()
     # Read again: other shards have written meanwhile.
     ledger = read_ledger(job.out / LEDGER)

@@ -1,8 +1,8 @@
 """A part of a data set's frames, for one of many machines.
 
-Which part a frame is in depends on its name alone (CRC-32 of it, modulo the number of parts): machines need not
-agree on anything else, and a data set that grows does not move its earlier frames to other machines. The parts
-are as even as chance makes them.
+Which part a frame is in depends on its name alone (CRC-32 of it, modulo the number of parts): machines need
+not agree on anything else, and a data set that grows does not move its earlier frames to other machines. The
+parts are as even as chance makes them.
 """
 
 from __future__ import annotations

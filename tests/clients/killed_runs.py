@@ -129,7 +129,7 @@ class KilledRuns:
 
     def _written(self) -> int:
         folder = self.out / "data"
-        return sum(name.endswith(".txt") for name in os.listdir(folder)) if folder.is_dir() else 0
+        return sum(path.suffix == ".txt" for path in folder.iterdir()) if folder.is_dir() else 0
 
 
 def kill_a_worker(runner: int, random_: random.Random) -> bool:

@@ -17,7 +17,7 @@ from boxlift.formats.size_priors import read_size_priors
 from boxlift.settings import DEFAULT_PRESET, PRESETS, LabellerSettings, preset
 from boxlift.storage import open_path
 from boxlift_client.cli.detection import DetectorOption, MinScoreOption, with_detection
-from boxlift_client.job import DEFAULT_FRAME_TIMEOUT_S, DETECTOR
+from boxlift_client.job import DETECTOR
 from boxlift_client.shard import parse_shard
 
 if TYPE_CHECKING:
@@ -42,8 +42,8 @@ def label(
         str,
         typer.Option(
             metavar="DIR",
-            help="Folder of the label set, here or as s3://BUCKET/FOLDER. Frames that it has are not labelled "
-            "again.",
+            help="Folder of the label set, here or as s3://BUCKET/FOLDER. Frames that it has are not "
+            "labelled again.",
             show_default=False,
         ),
     ],
@@ -105,19 +105,22 @@ def label(
         typer.Option(
             "--shard",
             metavar="I/N",
-            help="Label the I-th of N parts of the frames, I from 0; auto: what a Kubernetes indexed job or a "
-            "SLURM array says.",
+            help="Label the I-th of N parts of the frames, I from 0. auto: as a SLURM array says; auto/N: as "
+            "a Kubernetes indexed job says.",
         ),
     ] = None,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Try frames again that failed in earlier runs.")
     ] = False,
     frame_timeout_s: Annotated[
-        float,
+        float | None,
         typer.Option(
-            "--frame-timeout", min=0.1, metavar="SECONDS", help="A frame that takes longer has failed."
+            "--frame-timeout",
+            min=0.1,
+            metavar="SECONDS",
+            help="A frame that takes longer has failed.  [default: 50 times the median frame, at least 10]",
         ),
-    ] = DEFAULT_FRAME_TIMEOUT_S,
+    ] = None,
     workers: Annotated[
         int | None,
         typer.Option(min=1, metavar="N", help="Processes, or requests at a time.  [default: by cores, or 4]"),
@@ -155,10 +158,7 @@ def label(
                 job, chosen_engine, names, progress, shard=shard, retry_failed=retry_failed
             )
     except KeyboardInterrupt as interrupt:
-        print(
-            f"Interrupted. The frames that were finished are in {out}; the same command goes on with the rest.",
-            file=sys.stderr,
-        )
+        print(f"Interrupted. What was finished is in {out}; the same command goes on.", file=sys.stderr)
         raise typer.Exit(_TERMINATED if interrupt.args else _INTERRUPTED) from None
     print(summary.text())
     print(f"Labels are in {folder / 'data'}, details in {folder / 'details'}.")

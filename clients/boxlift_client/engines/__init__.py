@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import boxlift
+from boxlift.errors import ModelFileError
 from boxlift_client.detect_job import DetectJob
 from boxlift_client.job import FrameReport, LabelJob
 
 
 @dataclass(frozen=True)
 class LabellerIdentity:
-    """Who labels: the version of boxlift, and the SHA-256 of the detector's file where it finds the prompts."""
+    """Who labels: the version of boxlift, and the SHA-256 of the detector's file where it finds prompts."""
 
     version: str
     detector_digest: str | None
@@ -33,3 +36,17 @@ class DetectEngine(Protocol):
 
     def run(self, job: DetectJob, names: Sequence[str]) -> Iterator[FrameReport]:
         """One report per image, as they finish. Raises BoxliftError where no image could be looked at."""
+
+
+def own_identity(job: LabelJob) -> LabellerIdentity:
+    """Who labels where the boxlift that is installed here does. Raises ModelFileError."""
+    if not job.detects:
+        return LabellerIdentity(boxlift.__version__, None)
+    from boxlift.detector.detector import DEFAULT_FILE
+
+    path = job.detector or DEFAULT_FILE
+    try:
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise ModelFileError(str(path), f"cannot be read ({error.strerror}).", "Check the path.") from None
+    return LabellerIdentity(boxlift.__version__, digest)
