@@ -26,6 +26,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -33,7 +34,7 @@ import psutil
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from boxlift_client.job import FrameWorker, LabelJob
+from boxlift_client.job import FrameStore, LabelJob
 from boxlift_client.ledger import read_ledger
 from clients.killed_runs import BOXLIFT, write_many_frames
 from label_http import DEFAULT_FOLDER
@@ -125,34 +126,34 @@ def _stages(data: Path, out: Path) -> None:
     from boxlift.labeller import Labeller, StageTimes
 
     torch.set_num_threads(1)
-    times, labeller, labelling_s = StageTimes(), Labeller(), 0.0
+    labeller = Labeller()
+    rows: defaultdict[str, float] = defaultdict(float)
 
     def label(frame: Frame) -> FrameDetails:
-        nonlocal labelling_s
+        times = StageTimes()
         start = time.perf_counter()
         details = details_of(labeller.label(frame, times))
-        labelling_s += time.perf_counter() - start
+        rows["label"] += time.perf_counter() - start
+        for stage, seconds in times.seconds.items():
+            rows[f"  {stage}"] += seconds
         return details
 
-    worker = FrameWorker(LabelJob(data, out, "label_2"), label)
+    store = FrameStore(LabelJob(data, out, "label_2"))
     names = [f"{index:06d}" for index in range(120)]
     for name in names[:5]:
-        worker.label_one(name)
-    times.seconds.clear()
-    labelling_s, loading_s, writing_s = 0.0, 0.0, 0.0
+        label(store.load(name).given_frame)
+    rows.clear()
     for name in names:
         start = time.perf_counter()
-        loaded = worker.load(name)
-        loading_s += time.perf_counter() - start
+        loaded = store.load(name)
+        rows["load"] += time.perf_counter() - start
         if loaded.frame is None:
             continue
         details = label(loaded.frame)
         start = time.perf_counter()
-        worker.finish(loaded, details, 0.0)
-        writing_s += time.perf_counter() - start
+        store.finish(loaded, details, 0.0)
+        rows["write and fsync"] += time.perf_counter() - start
     print("one worker, ms a frame (mean of 120):")
-    rows = {"load": loading_s, "label": labelling_s, "write and fsync": writing_s}
-    rows |= {f"  {stage}": seconds for stage, seconds in times.seconds.items()}
     for stage, seconds in rows.items():
         print(f"  {stage:18} {1000 * seconds / len(names):6.1f}")
 

@@ -127,6 +127,10 @@ class AsyncClient:
         """See Client.wait_until_ready."""
         await self._take(self._calls.wait_until_ready(timeout_s))
 
+    async def models(self) -> dict[str, Any]:
+        """See Client.models."""
+        return await self._take(self._calls.models())
+
     async def close(self) -> None:
         """Close all connections."""
         await self._http.aclose()

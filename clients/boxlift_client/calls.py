@@ -6,11 +6,12 @@ detect_answer and batch; Client documents the calls.
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import monotonic
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,6 +119,17 @@ class Calls:
             yield Pause(0.1)
         # A probe needs no key; this does.
         yield from exchange(self.url, Request("GET", "/models"), self._patience_s)
+
+    def models(self) -> Steps[dict[str, Any]]:
+        """What GET /models answers."""
+        content = yield from exchange(self.url, Request("GET", "/models"), self._patience_s)
+        try:
+            answer = json.loads(content)
+        except ValueError:
+            answer = None
+        if not isinstance(answer, dict) or "labellers" not in answer:
+            raise UnexpectedAnswerError(self.url, "GET /models answers no list of models.")
+        return answer
 
     def pack(self, index: int, frame: Frame | FrameFiles, settings: LabellerSettings, detect: bool) -> Item:
         """A frame of a batch as it is sent, or its outcome where it cannot be."""

@@ -163,6 +163,10 @@ class Client:
         """
         self._take(self._calls.wait_until_ready(timeout_s))
 
+    def models(self) -> dict[str, Any]:
+        """What the service labels and detects with: the answer of GET /models."""
+        return self._take(self._calls.models())
+
     def close(self) -> None:
         """Close all connections."""
         self._http.close()

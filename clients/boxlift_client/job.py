@@ -115,31 +115,22 @@ class LoadedFrame:
     details: FrameDetails | None = None
     sentence: str = ""
 
+    @property
+    def given_frame(self) -> Frame:
+        """The frame, where there are no details yet."""
+        assert self.frame is not None
+        return self.frame
 
-class FrameWorker:
-    """Labels the frames of a job one by one; `label` is a labeller here or a service elsewhere.
 
-    In a job that detects, it finds the prompts too, in the image of the frame that it is given.
-    """
+class FrameStore:
+    """Loads the frames of a job, and writes their labels."""
 
-    def __init__(self, job: LabelJob, label: Callable[[Frame], FrameDetails]) -> None:
+    def __init__(self, job: LabelJob) -> None:
         self._job = job
-        self._label = label
         self._source: FrameSource = open_source(job.source)
 
-    def label_one(self, name: str) -> FrameReport:
-        """Load, label and write one frame. Never raises: whatever is wrong is told in the report."""
-        start = perf_counter()
-        try:
-            loaded = self.load(name)
-            details = self._label(loaded.frame) if loaded.frame else loaded.details
-            assert details is not None
-            return self.finish(loaded, details, perf_counter() - start)
-        except Exception as error:
-            return report_of_failure(name, error, perf_counter() - start)
-
     def load(self, name: str) -> LoadedFrame:
-        """The frame with its prompts, for `label`. Raises BoxliftError."""
+        """The frame with its prompts. Raises BoxliftError."""
         frame, sentence = None, ""
         try:
             frame = self._source.load(name, masks=self._job.masks, with_image=self._job.detects)
@@ -170,6 +161,27 @@ class FrameWorker:
                 "Add its image, or give 2D boxes with --prompts.",
             )
         return ()
+
+
+class FrameWorker:
+    """Labels the frames of a job one by one; `label` is a labeller.
+
+    In a job that detects, it finds the prompts too, in the image of the frame that it is given.
+    """
+
+    def __init__(self, job: LabelJob, label: Callable[[Frame], FrameDetails]) -> None:
+        self._store = FrameStore(job)
+        self._label = label
+
+    def label_one(self, name: str) -> FrameReport:
+        """Load, label and write one frame. Never raises: whatever is wrong is told in the report."""
+        start = perf_counter()
+        try:
+            loaded = self._store.load(name)
+            details = loaded.details or self._label(loaded.given_frame)
+            return self._store.finish(loaded, details, perf_counter() - start)
+        except Exception as error:
+            return report_of_failure(name, error, perf_counter() - start)
 
 
 def _view(frame: Frame) -> SweepView:

@@ -163,9 +163,10 @@ def _tables(folder: AnyPath, columns: list[str]) -> Iterator[Any]:
     if not folder.is_dir():
         return
     _, parquet = _pyarrow()
-    for path in sorted(folder.iterdir(), key=lambda path: path.name):
-        if path.name.startswith(".") or not path.name.endswith(".parquet"):
+    for name in sorted(path.name for path in folder.iterdir()):
+        if name.startswith(".") or not name.endswith(".parquet"):
             continue
+        path = folder / name
         try:
             yield parquet.read_table(io.BytesIO(path.read_bytes()), columns=columns, use_threads=False)
         except (OSError, ValueError, KeyError) as error:

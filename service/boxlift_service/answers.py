@@ -89,6 +89,7 @@ class OnnxModelAnswer(UsedModel):
 class ModelsAnswer(_Answer):
     """What this service can label and detect with."""
 
+    boxlift_version: str = Field(description="Version of the package.")
     labellers: tuple[LabellerModel, ...]
     default_preset: str
     detector: OnnxModelAnswer | None = Field(description="The 2D detector of POST /label; null: see missing.")

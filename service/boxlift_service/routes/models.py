@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from fastapi import APIRouter
 
+import boxlift
 from boxlift.settings import DEFAULT_PRESET, LabellerSettings
 from boxlift_service.answers import LabellerModel, ModelsAnswer, OnnxModelAnswer
 from boxlift_service.detection.detection import Detection
@@ -25,6 +26,7 @@ def models_routes(detection: Detection, presets: Mapping[str, LabellerSettings])
     def answer() -> ModelsAnswer:
         infos = {"detector": detection.detector, "monocular": detection.monocular}
         return ModelsAnswer(
+            boxlift_version=boxlift.__version__,
             labellers=labellers,
             default_preset=DEFAULT_PRESET,
             detector=_answer(detection.detector),
