@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from boxlift.datasets import FrameSource, load_prompts, open_source
+from boxlift.datasets import FrameSource, find_labels, load_prompts, open_source
 from boxlift.errors import BoxliftError, DatasetError, MissingExtraError, NoLidarError
 from boxlift.formats.details import FrameDetails, details_of, view_details_of
 from boxlift.frame import Frame, FrameLabels, Prompt, Result
@@ -122,12 +122,23 @@ class LoadedFrame:
         return self.frame
 
 
+def labels_of(job: LabelJob, source: FrameSource) -> str | AnyPath | None:
+    """Where the prompts of a job are, for load_prompts; None where they are to be found in the images.
+
+    Raises DatasetError where there is no such folder.
+    """
+    if job.detects or job.prompts in source.label_names:
+        return None if job.detects else job.prompts
+    return find_labels(job.prompts, source)
+
+
 class FrameStore:
     """Loads the frames of a job, and writes their labels."""
 
     def __init__(self, job: LabelJob) -> None:
         self._job = job
         self._source: FrameSource = open_source(job.source)
+        self._labels = labels_of(job, self._source)
 
     def load(self, name: str) -> LoadedFrame:
         """The frame with its prompts. Raises BoxliftError."""
@@ -152,8 +163,8 @@ class FrameStore:
 
     def _prompts(self, name: str, frame: Frame | None) -> tuple[Prompt, ...]:
         """Those on disk; none yet where they are to be found in the image. Raises InputError."""
-        if not self._job.detects:
-            return load_prompts(self._job.prompts, self._source, name)
+        if self._labels is not None:
+            return load_prompts(self._labels, self._source, name)
         if frame is not None and frame.image is None:
             raise DatasetError(
                 str(self._source.root / "image_2"),

@@ -12,7 +12,7 @@ from boxlift.errors import DatasetError, OptionsError
 from boxlift_client.detect_job import DetectJob
 from boxlift_client.engines import DetectEngine, Engine
 from boxlift_client.errors import RunStoppedError
-from boxlift_client.job import FrameReport, LabelJob, Outcome
+from boxlift_client.job import FrameReport, LabelJob, Outcome, labels_of
 from boxlift_client.ledger import LedgerRow, LedgerState, LedgerWriter, read_ledger
 from boxlift_client.leftovers import remove_leftovers, write_failed
 from boxlift_client.manifest import Manifest, join_label_set
@@ -48,8 +48,7 @@ def label_dataset(
     """
     start = perf_counter()
     source = open_source(job.source)
-    if not job.detects and job.prompts not in source.label_names:
-        find_labels(job.prompts, source)
+    labels_of(job, source)  # raises where there are none
     chosen = source.names if names is None else list(dict.fromkeys(names))
     if not chosen:
         raise DatasetError(str(job.source), "there is no frame to label.", "Put point clouds into velodyne/.")

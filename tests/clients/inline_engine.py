@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import boxlift
@@ -21,7 +21,7 @@ def say_nothing(frame: Frame) -> FrameDetails:
 class InlineEngine:
     """`raises`: frame -> what comes up instead of its report (KeyboardInterrupt: Ctrl-C there)."""
 
-    raises: dict[str, BaseException] = field(default_factory=dict)
+    raises: Mapping[str, BaseException] = field(default_factory=dict)
     version: str = boxlift.__version__
     asked: list[str] = field(default_factory=list)
 

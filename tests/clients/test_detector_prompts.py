@@ -114,7 +114,7 @@ def test_a_detector_with_masks_plugs_in(boxlift: Boxlift, dataset: Path, tmp_pat
         pixels = np.bincount(frame.instance_ids.ravel(), minlength=len(frame.prompts) + 1)
         mask = frame.instance_ids == max(cars, key=lambda index: int(pixels[index + 1])) + 1
         image = np.where(mask[..., None], 255, 0).repeat(3, axis=-1).astype(np.uint8)
-        Image.fromarray(image).save(source.root / "image_2" / f"{name}.png")
+        Image.fromarray(image).save(str(source.root / "image_2" / f"{name}.png"))
         rows, columns = np.nonzero(mask)
         painted[name] = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
     own = brightness_detector(tmp_path / "own.onnx")

@@ -110,7 +110,7 @@ def test_labels_made_otherwise_are_not_mixed(job: LabelJob) -> None:
         label_dataset(replace(job, settings=PAPER), InlineEngine())
     with pytest.raises(OptionsError, match=r"version '.*', not '9\.9'"):
         label_dataset(job, InlineEngine(version="9.9"))
-    shutil.rmtree(job.out / "ledger")
+    shutil.rmtree(str(job.out / "ledger"))
     (job.out / "manifest.json").unlink()
     with pytest.raises(OptionsError, match="holds labels without a manifest"):
         label_dataset(job, InlineEngine())
@@ -119,7 +119,7 @@ def test_labels_made_otherwise_are_not_mixed(job: LabelJob) -> None:
 def test_a_second_data_set_joins_unless_its_names_clash(job: LabelJob, tmp_path: Path) -> None:
     label_dataset(job, InlineEngine())
     other = tmp_path / "other"
-    shutil.copytree(job.source, other)
+    shutil.copytree(str(job.source), other)
     with pytest.raises(OptionsError, match=r"has a frame '000000' already, of .*dataset"):
         label_dataset(replace(job, source=other), InlineEngine())
     for path in [path for path in other.rglob("00000*") if path.is_file()]:

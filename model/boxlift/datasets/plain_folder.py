@@ -10,8 +10,7 @@ Stems are any names. Where a stem has files of several suffixes, the first in th
 from __future__ import annotations
 
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, overload
 
 from boxlift.datasets.plain_answers import NoAnnotations, RectifiedImages
 from boxlift.errors import DatasetError, NoLidarError
@@ -20,6 +19,8 @@ from boxlift.formats.calibration import ParsedCalibration
 from boxlift.frame import Frame, Prompt
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from boxlift.storage import AnyPath
 
 
@@ -28,7 +29,7 @@ class PlainFolder(NoAnnotations, RectifiedImages):
 
     layout = "plain folder"
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: AnyPath) -> None:
         self.root = root
 
     @cached_property
@@ -41,7 +42,7 @@ class PlainFolder(NoAnnotations, RectifiedImages):
         name: str,
         prompts: tuple[Prompt, ...] = (),
         *,
-        masks: Path | None = None,
+        masks: AnyPath | None = None,
         with_image: bool = False,
     ) -> Frame:
         """See FrameSource.load."""
@@ -55,26 +56,28 @@ class PlainFolder(NoAnnotations, RectifiedImages):
             )
         parsed = self._calibration(name)
         image_path = self._images.get(name)
+        # Read once, for its size and its pixels: in an object store each read is a request.
+        encoded = None if image_path is None else image.read_image(image_path)
         return Frame(
             name=name,
             points_velo=point_cloud.read_points(self._points[name]).points,
             calibration=parsed.calibration,
-            image_size_px=self._image_size(name, image_path, parsed),
+            image_size_px=self._image_size(name, encoded, parsed),
             prompts=prompts,
-            image=image.decode_image(image_path, str(image_path)) if with_image and image_path else None,
+            image=image.decode_image(encoded, str(image_path)) if with_image and encoded else None,
             instance_ids=None if masks is None else image.decode_instance_ids(*_mask_file(masks, name)),
         )
 
     @cached_property
-    def _points(self) -> dict[str, Path]:
+    def _points(self) -> dict[str, AnyPath]:
         return files_by_stem(self.root / "velodyne", point_cloud.SUFFIXES)
 
     @cached_property
-    def _images(self) -> dict[str, Path]:
+    def _images(self) -> dict[str, AnyPath]:
         return files_by_stem(self.root / "image_2", image.SUFFIXES)
 
     @cached_property
-    def _calibrations(self) -> dict[str, Path]:
+    def _calibrations(self) -> dict[str, AnyPath]:
         return files_by_stem(self.root / "calib", calibration.SUFFIXES)
 
     @cached_property
@@ -93,8 +96,8 @@ class PlainFolder(NoAnnotations, RectifiedImages):
             f"Add calib/{name}.txt or calib/{name}.json, or one calib.txt for all frames.",
         )
 
-    def _image_size(self, name: str, image_path: Path | None, parsed: ParsedCalibration) -> tuple[int, int]:
-        if image_path is None:
+    def _image_size(self, name: str, encoded: bytes | None, parsed: ParsedCalibration) -> tuple[int, int]:
+        if encoded is None:
             if parsed.image_size_px is None:
                 raise DatasetError(
                     str(self.root / "image_2"),
@@ -102,10 +105,11 @@ class PlainFolder(NoAnnotations, RectifiedImages):
                     'Add its image, or a calibration as JSON with "image_size": [width, height].',
                 )
             return parsed.image_size_px
-        size = image.image_size(image_path, str(image_path))
+        path = str(self._images[name])
+        size = image.image_size(encoded, path)
         if parsed.image_size_px not in (None, size):
             raise DatasetError(
-                str(image_path),
+                path,
                 f"the image (width, height) is {size}, its calibration says {parsed.image_size_px}.",
                 "Give the calibration of this image.",
             )
@@ -117,18 +121,22 @@ def recognise(root: AnyPath) -> PlainFolder | None:
     return PlainFolder(root) if (root / "velodyne").is_dir() else None
 
 
-def files_by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
+@overload
+def files_by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]: ...
+@overload
+def files_by_stem(folder: AnyPath, suffixes: tuple[str, ...]) -> dict[str, AnyPath]: ...
+def files_by_stem(folder: Any, suffixes: tuple[str, ...]) -> Any:
     """Files with one of the suffixes by stem; the earlier suffix wins. Hidden files are none."""
     if not folder.is_dir():
         return {}
-    found: dict[str, Path] = {}
+    found: dict[str, Any] = {}
     paths = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.name[0] != "."]
     for path in sorted(paths, key=lambda path: (suffixes.index(path.suffix.lower()), path.name)):
         found.setdefault(path.stem, path)
     return found
 
 
-def _mask_file(folder: Path, name: str) -> tuple[Path, str]:
+def _mask_file(folder: AnyPath, name: str) -> tuple[AnyPath, str]:
     """The frame's mask file, and how errors call it."""
     path = folder / f"{name}.png"
     if not path.is_file():

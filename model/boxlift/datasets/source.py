@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
@@ -14,6 +13,7 @@ from boxlift.errors import DatasetError
 from boxlift.formats import kitti_label
 from boxlift.formats.kitti_label import KittiObject
 from boxlift.frame import Frame, Prompt
+from boxlift.storage import open_path
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
@@ -88,12 +88,14 @@ def open_source(root: AnyPath) -> FrameSource:
     )
 
 
-def find_labels(labels: str | Path, source: Source) -> Path:
+def find_labels(labels: str | AnyPath, source: Source) -> AnyPath:
     """The folder `labels` of KITTI text files: inside the source (`label_2`, `det_2d`), else as a path.
 
     Raises DatasetError where there is none.
     """
-    for folder in (source.root / labels, Path(labels)):
+    if not isinstance(labels, str):
+        return labels
+    for folder in (source.root / labels, open_path(labels)):
         if folder.is_dir():
             return folder
     raise DatasetError(
@@ -103,21 +105,23 @@ def find_labels(labels: str | Path, source: Source) -> Path:
     )
 
 
-def load_objects(labels: str | Path, source: Source, name: str) -> list[KittiObject]:
-    """A frame's lines from the KITTI text files of `labels` (see find_labels).
+def load_objects(labels: str | AnyPath, source: Source, name: str) -> list[KittiObject]:
+    """A frame's annotations that its data set has under the name `labels`, else its lines in the KITTI text
+    files of that folder (a path: see find_labels).
 
     Raises DatasetError where folder or file is missing, LabelFormatError where a line is malformed.
     """
-    if labels in source.label_names:
-        return source.objects(str(labels), name)
+    if isinstance(labels, str) and labels in source.label_names:
+        return source.objects(labels, name)
     path = find_labels(labels, source) / f"{name}.txt"
-    if not path.is_file():
+    try:
+        return kitti_label.read_file(path)
+    except FileNotFoundError:
         raise DatasetError(
             str(path), f"frame {name!r} has no such file.", "Add it (empty for no objects) or skip the frame."
-        )
-    return kitti_label.read_file(path)
+        ) from None
 
 
-def load_prompts(labels: str | Path, source: Source, name: str) -> tuple[Prompt, ...]:
+def load_prompts(labels: str | AnyPath, source: Source, name: str) -> tuple[Prompt, ...]:
     """The 2D boxes of load_objects as prompts, DontCare left out. Raises as load_objects does."""
     return kitti_label.prompts_of(load_objects(labels, source, name))

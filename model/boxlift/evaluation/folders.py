@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from boxlift.errors import DatasetError
 from boxlift.evaluation.kitti import KittiBenchmark
@@ -12,10 +12,13 @@ from boxlift.evaluation.pseudo_labels import judge_pseudo_labels
 from boxlift.evaluation.results import Evaluation
 from boxlift.evaluation.rules import BENCHMARK_CLASSES, CLASS_RULES, rules_of
 
+if TYPE_CHECKING:
+    from boxlift.storage import AnyPath
+
 
 def evaluate_folders(
-    gt_dir: Path,
-    pred_dir: Path,
+    gt_dir: AnyPath,
+    pred_dir: AnyPath,
     frames: Sequence[str] | None = None,
     classes: Sequence[str] = BENCHMARK_CLASSES,
     pseudo_label_classes: Sequence[str] = tuple(CLASS_RULES),

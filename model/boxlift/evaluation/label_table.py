@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from boxlift.evaluation.rules import Difficulty
 from boxlift.formats import kitti_label
 from boxlift.formats.kitti_label import UNKNOWN_ANGLE, KittiObject
 from boxlift.overlap import area_2d, intersection_2d
+
+if TYPE_CHECKING:
+    from boxlift.storage import AnyPath
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -106,7 +109,7 @@ class LabelTable:
         return np.isin(self.category, [category.lower() for category in categories])
 
 
-def read_table(folder: Path, frames: Sequence[str]) -> LabelTable:
+def read_table(folder: AnyPath, frames: Sequence[str]) -> LabelTable:
     """Read `folder`/STEM.txt for every frame; raises DatasetError where some are not there."""
     missing = [name for name in frames if not (folder / f"{name}.txt").is_file()]
     if missing:

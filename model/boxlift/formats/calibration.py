@@ -14,7 +14,7 @@ either format says of a LiDAR is not read, and the calibration has a LiDAR in th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from boxlift.camera import Calibration, Floats
 from boxlift.errors import CalibrationError, member
 from boxlift.formats import archives
 from boxlift.formats.json_text import finite_number, parse_json
+
+if TYPE_CHECKING:
+    from boxlift.storage import AnyPath
 
 SUFFIXES = (".txt", ".json")
 
@@ -63,7 +66,7 @@ def parse_calibration(
     return ParsedCalibration(_parse_kitti_text(data, field, camera, camera_only))
 
 
-def read_calibration(path: Path, camera: int = 2, *, camera_only: bool = False) -> ParsedCalibration:
+def read_calibration(path: AnyPath, camera: int = 2, *, camera_only: bool = False) -> ParsedCalibration:
     """parse_calibration for a file. Raises CalibrationError, also where the file cannot be opened."""
     try:
         data = path.read_bytes()

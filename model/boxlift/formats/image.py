@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import importlib
 import io
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +19,8 @@ from boxlift.formats.image_parts import ImageParts, image_parts
 if TYPE_CHECKING:
     from PIL import Image as PillowImage
 
+    from boxlift.storage import AnyPath
+
 SUFFIXES = (".png", ".jpg", ".jpeg")
 
 # 64 megapixels: any camera that drives; 192 MB decoded.
@@ -29,7 +30,18 @@ _LARGEST_SIDE_PX = 65_535
 _REMEDY = "Give a PNG or JPEG image."
 
 
-def image_size(source: bytes | Path, field: str = "image", max_pixels: int = MAX_PIXELS) -> tuple[int, int]:
+def read_image(path: AnyPath) -> bytes:
+    """The bytes of an image file. Raises ImageError where it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        problem = f"the image cannot be read ({error.strerror or error})."
+        raise ImageError(str(path), problem, "Check the path.") from None
+
+
+def image_size(
+    source: bytes | AnyPath, field: str = "image", max_pixels: int = MAX_PIXELS
+) -> tuple[int, int]:
     """(width, height) in pixels from the header of an encoded image or image file; no pixel is decoded.
 
     Raises ImageError where it is no PNG or JPEG, or has more than `max_pixels`.
@@ -38,7 +50,7 @@ def image_size(source: bytes | Path, field: str = "image", max_pixels: int = MAX
 
 
 def decode_image(
-    source: bytes | Path, field: str = "image", max_pixels: int = MAX_PIXELS
+    source: bytes | AnyPath, field: str = "image", max_pixels: int = MAX_PIXELS
 ) -> NDArray[np.uint8]:
     """An encoded image or image file -> (H, W, 3) uint8 RGB; alpha is dropped.
 
@@ -63,7 +75,7 @@ def resized(image: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.ui
 
 
 def decode_instance_ids(
-    source: bytes | Path, field: str = "masks", max_pixels: int = MAX_PIXELS
+    source: bytes | AnyPath, field: str = "masks", max_pixels: int = MAX_PIXELS
 ) -> NDArray[np.uint16]:
     """A PNG with one channel of 16 or 8 bits (or a palette) -> (H, W) uint16: prompt index + 1, 0 is none.
 
@@ -80,7 +92,7 @@ def decode_instance_ids(
         return np.array(image).astype(np.uint16)
 
 
-def _parts(source: bytes | Path, field: str, max_pixels: int, error_type: type[InputError]) -> ImageParts:
+def _parts(source: bytes | AnyPath, field: str, max_pixels: int, error_type: type[InputError]) -> ImageParts:
     """Reads and judges all but the pixels."""
     try:
         data = source if isinstance(source, bytes) else source.read_bytes()
@@ -109,7 +121,7 @@ def _parts(source: bytes | Path, field: str, max_pixels: int, error_type: type[I
 
 
 def _open(
-    source: bytes | Path, field: str, max_pixels: int, error_type: type[InputError]
+    source: bytes | AnyPath, field: str, max_pixels: int, error_type: type[InputError]
 ) -> PillowImage.Image:
     parts = _parts(source, field, max_pixels, error_type)
     pillow = _pillow()

@@ -10,13 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from boxlift.boxes import Boxes3D, alpha_from_rotation_y
 from boxlift.errors import LabelFormatError
 from boxlift.frame import FrameLabels, ObjectLabel, Prompt
+
+if TYPE_CHECKING:
+    from boxlift.storage import AnyPath
 
 UNKNOWN_SIZE = (-1.0, -1.0, -1.0)
 UNKNOWN_LOCATION = (-1000.0, -1000.0, -1000.0)
@@ -97,7 +100,7 @@ def parse_text(text: str, where: str) -> list[KittiObject]:
     ]
 
 
-def read_file(path: Path) -> list[KittiObject]:
+def read_file(path: AnyPath) -> list[KittiObject]:
     """Objects of a label or result file. Raises LabelFormatError."""
     try:
         return parse_text(path.read_text(encoding="utf-8"), str(path))

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,9 @@ from boxlift.formats.cloud_limits import require_point_count
 from boxlift.formats.numpy_files import NPY_MAGIC, decode_npy, decode_npz
 from boxlift.formats.pcd import decode_pcd
 from boxlift.formats.ply import decode_ply
+
+if TYPE_CHECKING:
+    from boxlift.storage import AnyPath
 
 SUFFIXES = (".bin", ".npy", ".npz", ".pcd", ".ply")
 
@@ -69,7 +71,7 @@ def decode_points(
         ) from None
 
 
-def read_points(path: Path) -> DecodedPoints:
+def read_points(path: AnyPath) -> DecodedPoints:
     """decode_points for a file. Raises PointCloudError, also where the file cannot be opened."""
     try:
         data = path.read_bytes()

@@ -103,7 +103,7 @@ def load_judged(sets: Sequence[FrameSet], data: DataSettings) -> list[JudgedFram
 def find_image(source: FrameSource, name: str) -> Path:
     """The image of a frame. Raises DatasetError where there is none."""
     for suffix in image_files.SUFFIXES:
-        path = source.root / "image_2" / f"{name}{suffix}"
+        path = Path(str(source.root)) / "image_2" / f"{name}{suffix}"
         if path.is_file():
             return path
     raise DatasetError(
