@@ -24,7 +24,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from boxlift_client.ledger import read_rows
-from clients.killed_runs import RUNNER, WORKER, KilledRuns, label_files, run_undisturbed, write_many_frames
+from clients.killed_runs import RUNNER, WORKER, KilledRuns, run_undisturbed, write_many_frames
+from clients.label_sets import files_of
 
 _SCENES = 12
 
@@ -48,7 +49,7 @@ def main() -> None:
         start = time.perf_counter()
         run_undisturbed([*label, "--out", Path(folder) / "undisturbed"])
         undisturbed_s = time.perf_counter() - start
-        expected = label_files(Path(folder) / "undisturbed")
+        expected = files_of(Path(folder) / "undisturbed")
         victims = (RUNNER,) if arguments.engine == "ray" else (RUNNER, WORKER)
         out = Path(folder) / "killed"
         runs = KilledRuns(

@@ -17,6 +17,7 @@ import psutil
 
 from boxlift.datasets.generated import generate, write_dataset
 from boxlift_client.ledger import read_rows
+from clients.label_sets import files_of
 
 BOXLIFT = (str(Path(sys.executable).with_name("boxlift")),)
 RUNNER, WORKER = "runner", "worker"
@@ -34,12 +35,6 @@ def write_many_frames(root: Path, count: int, scenes: int) -> None:
         for index in range(scenes, count):
             original = originals[index % scenes]
             os.link(original, folder / f"{index:06d}{original.suffix}")
-
-
-def label_files(out: Path) -> dict[str, bytes]:
-    """The label files of a set, hidden ones too, and its manifest."""
-    paths = [*(out / "data").iterdir(), *(out / "details").iterdir(), out / "manifest.json"]
-    return {path.relative_to(out).as_posix(): path.read_bytes() for path in paths}
 
 
 def run_undisturbed(arguments: Sequence[object]) -> None:
@@ -98,7 +93,7 @@ class KilledRuns:
 
     def require_complete(self) -> None:
         """All frames are there, byte for byte, nothing else is, and the ledger never said otherwise."""
-        assert label_files(self.out) == self.expected
+        assert files_of(self.out) == self.expected
         digests: dict[str, set[str | None]] = {}
         for row in read_rows(self.out / "ledger"):
             assert row.error is None, f"{row.frame}: {row.error}"

@@ -25,11 +25,8 @@ from boxlift_client.engines.http import HttpEngine
 from boxlift_client.engines.local import LocalEngine
 from boxlift_client.errors import RequestRefusedError
 from clients.command import Boxlift
+from clients.label_sets import files_of, text_at_its_place
 from model.detector.detector_files import brightness_detector, detector_file
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def details_of(out: Path, name: str) -> details.FrameDetails:
@@ -81,16 +78,15 @@ def test_the_same_bytes_for_any_number_of_workers_as_in_one_process(dataset: Pat
     for workers in (1, 2):
         summary = label_dataset(LabelJob(dataset, tmp_path / str(workers)), LocalEngine(workers))
         assert summary.frames == {Outcome.LABELLED: 3}
-    one, two = contents(tmp_path / "1"), contents(tmp_path / "2")
-    assert len(one) == 6
+    one, two = files_of(tmp_path / "1"), files_of(tmp_path / "2")
+    assert len(one) == 7
     assert one == two
     detector, source = Detector.open(), open_source(dataset)
     for name in source.names:
         frame = find_prompts(source.load(name, with_image=True), detector, ACCURATE.detection)
-        text = details.details_of(Labeller().label(frame), detector.digest).model_dump_json(
-            by_alias=True, indent=2
-        )
-        assert one[f"details/{name}.json"].decode() == text + "\n"
+        labels = details.details_of(Labeller().label(frame), detector.digest)
+        written = one[f"details/{name}.json"]
+        assert written.decode() == text_at_its_place(labels, written)
 
 
 def test_over_http_as_here(dataset: Path, service_url: str, tmp_path: Path) -> None:
@@ -98,7 +94,7 @@ def test_over_http_as_here(dataset: Path, service_url: str, tmp_path: Path) -> N
     for engine, out in ((HttpEngine(service_url), "http"), (LocalEngine(1), "local")):
         job = LabelJob(dataset, tmp_path / out, settings=settings)
         assert label_dataset(job, engine).frames == {Outcome.LABELLED: 3}
-    assert contents(tmp_path / "http") == contents(tmp_path / "local")
+    assert files_of(tmp_path / "http") == files_of(tmp_path / "local")
 
 
 def test_a_detector_with_masks_plugs_in(boxlift: Boxlift, dataset: Path, tmp_path: Path) -> None:

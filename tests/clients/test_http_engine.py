@@ -15,6 +15,7 @@ from boxlift_client.errors import NotAuthorizedError, ServiceUnreachableError
 from boxlift_service.guards.api_keys import ApiKeys, add_key, new_key
 from boxlift_service.guards.auth import AuthMiddleware
 from boxlift_service.settings import ServiceSettings
+from clients.label_sets import files_of
 from clients.scripted import Script, Scripted
 from service.running import running_service
 from service.served import served
@@ -26,8 +27,8 @@ def test_the_same_bytes_as_the_local_engine(dataset: Path, service_url: str, tmp
     for engine, out in ((HttpEngine(service_url), "http"), (LocalEngine(1), "local")):
         job = LabelJob(dataset, tmp_path / out, "label_2", masks, RELEASE)
         assert label_dataset(job, engine).frames == {Outcome.LABELLED: 3}
-    here, there = _contents(tmp_path / "local"), _contents(tmp_path / "http")
-    assert len(here) == 6
+    here, there = files_of(tmp_path / "local"), files_of(tmp_path / "http")
+    assert len(here) == 7
     assert here == there
 
 
@@ -77,7 +78,3 @@ def test_an_unknown_key_is_one_error_and_not_one_per_frame(dataset: Path, tmp_pa
     app = AuthMiddleware(Script("", [Scripted()]), keys, settings, lambda _: None)
     with served(app) as server, pytest.raises(NotAuthorizedError):
         label_dataset(LabelJob(dataset, tmp_path / "out", "label_2"), HttpEngine(server.url))
-
-
-def _contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

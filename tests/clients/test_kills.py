@@ -5,7 +5,8 @@ from __future__ import annotations
 import random
 from pathlib import Path
 
-from clients.killed_runs import RUNNER, WORKER, KilledRuns, label_files, run_undisturbed, write_many_frames
+from clients.killed_runs import RUNNER, WORKER, KilledRuns, run_undisturbed, write_many_frames
+from clients.label_sets import files_of
 
 
 def test_no_frame_is_lost_torn_or_different_when_processes_are_killed(tmp_path: Path) -> None:
@@ -13,7 +14,7 @@ def test_no_frame_is_lost_torn_or_different_when_processes_are_killed(tmp_path: 
     write_many_frames(data, count=90, scenes=3)
     label = [data, "--prompts", "label_2", "--workers", 2]
     run_undisturbed([*label, "--out", tmp_path / "undisturbed"])
-    expected = label_files(tmp_path / "undisturbed")
+    expected = files_of(tmp_path / "undisturbed")
     assert len(expected) == 2 * 90 + 1
     out = tmp_path / "out"
     runs = KilledRuns([*label, "--out", out], out, expected, random.Random(5), frames_between=15)

@@ -8,33 +8,38 @@ from pathlib import Path
 
 from boxlift.datasets import load_prompts, open_source
 from boxlift.formats import details, kitti_label
+from boxlift.frame import FrameLabels
 from boxlift.labeller import Labeller
 from boxlift_client import LabelJob, Outcome, label_dataset
 from boxlift_client.engines.local import LocalEngine
 from boxlift_client.job import FrameReport
+from clients.label_sets import files_of, text_at_its_place
 
 NAMES = ["000000", "000001", "000002"]
 
 
 def test_files_say_what_the_labeller_says_for_any_number_of_workers(dataset: Path, tmp_path: Path) -> None:
     source = open_source(dataset)
-    expected: dict[str, str] = {}
+    expected: dict[str, FrameLabels] = {}
     prompt_count = 0
     for name in NAMES:
         labels = Labeller().label(source.load(name, load_prompts("label_2", source, name)))
         prompt_count += len(labels.objects)
-        expected[f"details/{name}.json"] = details.to_text(labels)
-        # Files are written from rounded details, which know no negative zero.
-        lines = kitti_label.to_text(kitti_label.objects_of(labels))
-        expected[f"data/{name}.txt"] = lines.replace(" -0.00 ", " 0.00 ")
+        expected[name] = labels
     for workers in (1, 2):
         out = tmp_path / str(workers)
         summary = label_dataset(LabelJob(dataset, out, "label_2"), LocalEngine(workers))
         assert summary.complete
         assert summary.frames == {Outcome.LABELLED: 3}
         assert summary.results.total() == prompt_count
-        files = [path for path in out.rglob("*") if path.is_file()]
-        assert {path.relative_to(out).as_posix(): path.read_text() for path in files} == expected
+        files = files_of(out)
+        assert len(files) == 7
+        for name, labels in expected.items():
+            written = files[f"details/{name}.json"]
+            assert written.decode() == text_at_its_place(details.details_of(labels), written)
+            # Files are written from rounded details, which know no negative zero.
+            lines = kitti_label.to_text(kitti_label.objects_of(labels))
+            assert files[f"data/{name}.txt"].decode() == lines.replace(" -0.00 ", " 0.00 ")
         for name in NAMES:
             lines = (out / "data" / f"{name}.txt").read_text()
             assert {len(line.split()) for line in lines.splitlines()} == {16}
@@ -107,7 +112,7 @@ def test_a_frame_that_kills_its_worker_is_convicted_alone(dataset: Path, tmp_pat
     assert summary.frames == {Outcome.LABELLED: 2, Outcome.FAILED: 1}
     (failed,) = summary.unlabelled
     assert failed.frame == "000001"
-    assert "The worker process died" in failed.sentence
+    assert "3 worker processes died" in failed.sentence
 
 
 def _kill_workers() -> None:

@@ -20,6 +20,7 @@ from boxlift_client.ledger import read_ledger, read_rows
 from boxlift_client.manifest import read_manifest
 from boxlift_client.shard import Shard
 from clients.inline_engine import InlineEngine
+from clients.label_sets import files_of
 
 NAMES = ["000000", "000001", "000002"]
 
@@ -29,16 +30,10 @@ def job(dataset: Path, tmp_path: Path) -> LabelJob:
     return LabelJob(dataset, tmp_path / "out", "label_2")
 
 
-def files(out: Path) -> dict[str, bytes]:
-    """All files of a label set but the ledger, which tells times."""
-    paths = (path for path in out.rglob("*") if path.is_file() and path.parent.name != "ledger")
-    return {path.relative_to(out).as_posix(): path.read_bytes() for path in paths}
-
-
 def test_a_run_leaves_labels_a_manifest_and_a_row_for_every_frame(job: LabelJob) -> None:
     label_dataset(job, InlineEngine())
     out = Path(str(job.out))
-    assert sorted(files(out)) == sorted(
+    assert sorted(files_of(out)) == sorted(
         ["manifest.json", *(f"data/{n}.txt" for n in NAMES), *(f"details/{n}.json" for n in NAMES)]
     )
     rows = sorted(read_rows(out / "ledger"), key=lambda row: row.frame)
@@ -76,7 +71,7 @@ def test_frames_that_are_done_are_not_asked_for_again(job: LabelJob) -> None:
     assert "1 frame of them before this run." in summary.text()
     undisturbed = replace(job, out=Path(str(job.out)).with_name("undisturbed"))
     label_dataset(undisturbed, InlineEngine())
-    assert files(Path(str(job.out))) == files(Path(str(undisturbed.out)))
+    assert files_of(Path(str(job.out))) == files_of(Path(str(undisturbed.out)))
     idle = InlineEngine()
     assert label_dataset(job, idle).before == 3
     assert idle.asked == []

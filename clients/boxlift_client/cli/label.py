@@ -178,9 +178,12 @@ def _settings(preset_name: str, size: str | None) -> LabellerSettings:
 
 
 def _engine(name: str, urls: list[str] | None, ray_address: str | None, workers: int | None) -> Engine:
-    for option, given, engine in (("url", urls, "http"), ("ray_address", ray_address, "ray")):
+    for option, given, engine in (
+        ("url", ", ".join(urls or ()), "http"),
+        ("ray_address", ray_address, "ray"),
+    ):
         if given and name != engine:
-            raise OptionsError(option, f"{given!r} is given to --engine {name}.", f"Add --engine {engine}.")
+            raise OptionsError(option, f"{given!r} is given to the {name} engine.", f"Add --engine {engine}.")
     if name == "http":
         from boxlift_client.client import DEFAULT_URL
         from boxlift_client.engines.http import HttpEngine

@@ -48,5 +48,6 @@ def own_identity(job: LabelJob) -> LabellerIdentity:
     try:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
-        raise ModelFileError(str(path), f"cannot be read ({error.strerror}).", "Check the path.") from None
+        what = "does not exist" if isinstance(error, FileNotFoundError) else "cannot be read"
+        raise ModelFileError(str(path), f"the path {what}.", "Give the path of an ONNX model.") from None
     return LabellerIdentity(boxlift.__version__, digest)
