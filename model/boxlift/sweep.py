@@ -38,7 +38,8 @@ class EgoObject:
     center_ego: (3,) geometric centre, metres. ego_SO3_object: (3, 3); the object's x runs along its length
     to the front, y along its width to the left, z up. cameras: those whose views it was labelled in.
     track_id: the same for the same object in other sweeps, where that is known. points: LiDAR points in the
-    box, where they were counted.
+    box, where they were counted. difficulty: an annotator's, as Waymo counts (1 or 2), where there is one.
+    attribute: nuScenes' (vehicle.parked, pedestrian.moving, ...), where there is one.
     """
 
     category: str
@@ -52,6 +53,8 @@ class EgoObject:
     flags: tuple[str, ...] = ()
     track_id: str | None = None
     points: int | None = None
+    difficulty: int | None = None
+    attribute: str | None = None
 
     @property
     def yaw_rad(self) -> float:
