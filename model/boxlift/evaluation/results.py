@@ -28,8 +28,8 @@ class Evaluation:
         """
         return {
             "frames": self.frame_count,
-            "results": {name: _plain(entries) for name, entries in self.results.items()},
-            "pseudo_labels": {name: _plain(groups) for name, groups in self.pseudo_labels.items()},
+            "results": {name: plain(entries) for name, entries in self.results.items()},
+            "pseudo_labels": {name: plain(groups) for name, groups in self.pseudo_labels.items()},
         }
 
     def to_table(self) -> str:
@@ -50,12 +50,17 @@ class Evaluation:
         return "\n".join(blocks)
 
 
-def _plain(value: object) -> object:
+def plain(value: object, decimals: int = _JSON_DECIMALS) -> object:
+    """Dataclasses, tuples, dicts and numbers -> what `json.dumps` takes; floats rounded."""
     if dataclasses.is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return {
+            field.name: plain(getattr(value, field.name), decimals) for field in dataclasses.fields(value)
+        }
+    if isinstance(value, dict):
+        return {key: plain(item, decimals) for key, item in value.items()}
     if isinstance(value, (tuple, list)):
-        return [_plain(item) for item in value]
-    return round(value, _JSON_DECIMALS) if isinstance(value, float) else value
+        return [plain(item, decimals) for item in value]
+    return round(value, decimals) if isinstance(value, float) else value
 
 
 def _has_few_truths(entries: Sequence[AveragePrecision]) -> bool:
@@ -79,11 +84,11 @@ def _precision_table(results: Mapping[str, Sequence[AveragePrecision]]) -> str:
             ):
                 if (metric, iou) not in seen:
                     seen.add((metric, iou))
-                    class_rows.append(["", metric, f"{iou:.2f}", *(_decimals(n) for n in (*left, *right))])
+                    class_rows.append(["", metric, f"{iou:.2f}", *(two_decimals(n) for n in (*left, *right))])
         if any(cell != "-" for row in class_rows for cell in row[3:]):
             class_rows[0][0] = name
             rows += class_rows
-    return _aligned(rows, names=2)
+    return aligned(rows, names=2)
 
 
 def _pseudo_label_table(category: str, groups: Sequence[PseudoLabelQuality]) -> str:
@@ -105,15 +110,16 @@ def _pseudo_label_table(category: str, groups: Sequence[PseudoLabelQuality]) -> 
             *(at_strict.precision_3d, at_loose.precision_3d),
             *(group.mean_iou_3d, group.center_error_median_m, group.yaw_error_median_deg),
         )
-        rows.append([group.group, str(group.truths), str(group.associated), *map(_decimals, numbers)])
-    return _aligned(rows, names=1)
+        rows.append([group.group, str(group.truths), str(group.associated), *map(two_decimals, numbers)])
+    return aligned(rows, names=1)
 
 
-def _decimals(number: float | None) -> str:
+def two_decimals(number: float | None) -> str:
+    """For a cell of a table; a dash where there is nothing."""
     return "-" if number is None else f"{number:.2f}"
 
 
-def _aligned(rows: Sequence[Sequence[str]], names: int) -> str:
+def aligned(rows: Sequence[Sequence[str]], names: int) -> str:
     """Columns of equal width: the first `names` to the left, numbers to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join(
