@@ -18,11 +18,12 @@ from boxlift.evaluation.rules import (
     IouSet,
 )
 from boxlift.evaluation.sweep_results import nuscenes_json, nuscenes_table, waymo_json, waymo_table
-from boxlift.evaluation.waymo import WaymoEvaluation, judge_like_waymo
+from boxlift.evaluation.waymo import DEFAULT_IOU, WaymoEvaluation, judge_like_waymo
 
 __all__ = [
     "BENCHMARK_CLASSES",
     "CLASS_RULES",
+    "DEFAULT_IOU",
     "DIFFICULTIES",
     "AtIou",
     "AveragePrecision",

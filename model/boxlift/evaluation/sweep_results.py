@@ -27,6 +27,7 @@ def waymo_json(evaluation: WaymoEvaluation, decimals: int = _JSON_DECIMALS) -> d
         **_sweeps_json(evaluation.sweeps),
         "truths_of_unknown_difficulty": evaluation.truths_of_unknown_difficulty,
         "truths_without_points": evaluation.truths_without_points,
+        "scores_beyond_cutoffs": evaluation.scores_beyond_cutoffs,
         "results": plain(evaluation.results, decimals),
     }
 
@@ -52,6 +53,10 @@ def waymo_table(evaluation: WaymoEvaluation) -> str:
         )
     if evaluation.truths_without_points:
         lines.append(f"{evaluation.truths_without_points} truths without points are left out.")
+    if evaluation.scores_beyond_cutoffs:
+        lines.append(
+            f"{evaluation.scores_beyond_cutoffs} predictions have scores outside 0 to 1, the cutoffs' range."
+        )
     return "\n".join([*lines, *_left_out(evaluation.sweeps)])
 
 

@@ -63,7 +63,8 @@ class WaymoEvaluation:
     """Predictions against the truth of `sweeps`, by class.
 
     truths_of_unknown_difficulty: truths with neither an annotator's difficulty nor a count of points; they
-    are LEVEL_1. truths_without_points: left out, as the benchmark does.
+    are LEVEL_1. truths_without_points: left out, as the benchmark does. scores_beyond_cutoffs: predictions
+    with a score outside 0 to 1: below 0 they count nowhere, above 1 as 1.
     """
 
     iou: float
@@ -71,6 +72,7 @@ class WaymoEvaluation:
     results: dict[str, tuple[WaymoPrecision, ...]]
     truths_of_unknown_difficulty: int
     truths_without_points: int
+    scores_beyond_cutoffs: int
 
 
 def judge_like_waymo(
@@ -105,6 +107,7 @@ def judge_like_waymo(
             ((truths.points == UNKNOWN_COUNT) & (truths.difficulty == UNKNOWN_COUNT)).sum()
         ),
         truths_without_points=int(empty.sum()),
+        scores_beyond_cutoffs=int(((sweeps.predictions.score < 0) | (sweeps.predictions.score > 1)).sum()),
     )
 
 

@@ -97,6 +97,14 @@ def test_truths_without_points_are_left_out() -> None:
     assert "neither a difficulty nor a count" in waymo_table(evaluation)
 
 
+def test_scores_outside_the_cutoffs_are_told() -> None:
+    # Below 0 a prediction counts nowhere; 1.5 is as good as 1.
+    evaluation = judge_like_waymo(sweeps([ego_box()]), sweeps([ego_box(score=1.5), ego_box(y=9, score=-0.1)]))
+    assert evaluation.results["Vehicle"][1].ap_3d == pytest.approx(100)
+    assert evaluation.scores_beyond_cutoffs == 2
+    assert "2 predictions have scores outside 0 to 1" in waymo_table(evaluation)
+
+
 def test_each_side_belongs_to_its_own_range() -> None:
     # The truth is at 29.5 m, the prediction at 30.5 m: overall a hit, in both ranges none.
     truth, predictions = sweeps([ego_box(x=29.5)]), sweeps([ego_box(x=30.5)])
