@@ -24,7 +24,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from boxlift.errors import LabelFormatError, MissingExtraError
-from boxlift.storage import write_whole
+from boxlift.storage import read_whole, write_whole
 from boxlift_client.job import FrameReport, Outcome
 
 if TYPE_CHECKING:
@@ -168,7 +168,7 @@ def _tables(folder: AnyPath, columns: list[str]) -> Iterator[Any]:
             continue
         path = folder / name
         try:
-            yield parquet.read_table(io.BytesIO(path.read_bytes()), columns=columns, use_threads=False)
+            yield parquet.read_table(io.BytesIO(read_whole(path)), columns=columns, use_threads=False)
         except (OSError, ValueError, KeyError) as error:
             problem = f"the part of the ledger cannot be read ({str(error).splitlines()[0]:.200})."
             remedy = "Delete it: the frames in it are labelled again."

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from boxlift.errors import LabelFormatError, OptionsError
-from boxlift.storage import write_whole
+from boxlift.storage import read_whole, write_whole
 from boxlift_client.engines import LabellerIdentity
 from boxlift_client.job import LabelJob
 
@@ -81,7 +81,7 @@ def read_manifest(out: AnyPath) -> Manifest | None:
     """The manifest of the label set in `out`; None where there is none. Raises LabelFormatError."""
     path = out / MANIFEST
     try:
-        return Manifest.model_validate_json(path.read_bytes())
+        return Manifest.model_validate_json(read_whole(path))
     except FileNotFoundError:
         return None
     except ValidationError as error:

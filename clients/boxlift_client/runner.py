@@ -56,7 +56,11 @@ def label_dataset(
         chosen = shard.of(chosen)
     identity = engine.identity(job)
     _make_folders(job.out)
-    manifest, source_id = join_label_set(job, identity, source.layout)
+    try:
+        manifest, source_id = join_label_set(job, identity, source.layout)
+    except OSError as error:
+        problem = f"{str(job.out)!r} cannot be written ({error.strerror or error})."
+        raise OptionsError("out", problem, "Give a folder or bucket to write to.") from None
     ledger = read_ledger(job.out / LEDGER, source_id)
     _refuse_foreign(chosen, ledger, manifest)
     summary = RunSummary()

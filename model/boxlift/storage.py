@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
     AnyPath: TypeAlias = Path | UPath
 
-_EXTRAS = {"s3": "s3", "s3a": "s3"}
+_S3 = ("s3", "s3a")
 
 
 def open_path(name: str) -> AnyPath:
@@ -36,16 +37,35 @@ def open_path(name: str) -> AnyPath:
     except ImportError:
         raise MissingExtraError("universal_pathlib", "client") from None
     try:
-        path = UPath(name)
-        # Made here, so that a library that is missing is told before anything starts.
-        _ = path.fs
+        # Without a cache of listings, for other machines write meanwhile.
+        path = UPath(name, use_listings_cache=False)
+        # Asked here, so that what is missing, a library or a right, is told before anything starts.
+        with suppress(FileNotFoundError):
+            path.fs.info(path.path)
     except ImportError as error:
-        raise MissingExtraError(str(error.name or protocol), _EXTRAS.get(protocol, protocol)) from None
+        if protocol in _S3:
+            raise MissingExtraError("s3fs", "s3") from None
+        raise OptionsError("path", f"{name!r} needs a library.", f"{error}") from None
     except ValueError as error:
         raise OptionsError(
             "path", f"{name!r} names a protocol that is not known ({error}).", "Give a folder, or s3://..."
         ) from None
+    except Exception as error:  # each library has errors of its own
+        raise OptionsError(
+            "path",
+            f"{name!r} cannot be reached ({type(error).__name__}: {error!s:.200}).",
+            "Check bucket, endpoint and credentials (for S3 the variables AWS_*).",
+        ) from None
     return path
+
+
+def read_whole(path: AnyPath) -> bytes:
+    """The bytes of a file; in an object store by one request. Raises OSError."""
+    if isinstance(path, Path):
+        return path.read_bytes()
+    data = path.fs.cat_file(path.path)
+    assert isinstance(data, bytes)
+    return data
 
 
 def write_whole(path: AnyPath, data: bytes) -> None:

@@ -23,6 +23,7 @@ from boxlift.camera import Calibration, Floats
 from boxlift.errors import CalibrationError, member
 from boxlift.formats import archives
 from boxlift.formats.json_text import finite_number, parse_json
+from boxlift.storage import read_whole
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
@@ -69,7 +70,7 @@ def parse_calibration(
 def read_calibration(path: AnyPath, camera: int = 2, *, camera_only: bool = False) -> ParsedCalibration:
     """parse_calibration for a file. Raises CalibrationError, also where the file cannot be opened."""
     try:
-        data = path.read_bytes()
+        data = read_whole(path)
     except OSError as error:
         raise CalibrationError(
             str(path), f"the file cannot be read ({error.strerror}).", "Check the path."

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from boxlift.errors import ImageError, InputError, MissingExtraError, PromptError
 from boxlift.formats.archives import archive_kind
 from boxlift.formats.image_parts import ImageParts, image_parts
+from boxlift.storage import read_whole
 
 if TYPE_CHECKING:
     from PIL import Image as PillowImage
@@ -33,7 +34,7 @@ _REMEDY = "Give a PNG or JPEG image."
 def read_image(path: AnyPath) -> bytes:
     """The bytes of an image file. Raises ImageError where it cannot be read."""
     try:
-        return path.read_bytes()
+        return read_whole(path)
     except OSError as error:
         problem = f"the image cannot be read ({error.strerror or error})."
         raise ImageError(str(path), problem, "Check the path.") from None
@@ -95,7 +96,7 @@ def decode_instance_ids(
 def _parts(source: bytes | AnyPath, field: str, max_pixels: int, error_type: type[InputError]) -> ImageParts:
     """Reads and judges all but the pixels."""
     try:
-        data = source if isinstance(source, bytes) else source.read_bytes()
+        data = source if isinstance(source, bytes) else read_whole(source)
         parts = image_parts(data)
     except OSError as error:
         raise error_type(field, f"the image cannot be read ({error.strerror}).", "Check the path.") from None

@@ -17,6 +17,7 @@ import numpy as np
 from boxlift.boxes import Boxes3D, alpha_from_rotation_y
 from boxlift.errors import LabelFormatError
 from boxlift.frame import FrameLabels, ObjectLabel, Prompt
+from boxlift.storage import read_whole
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
@@ -103,7 +104,7 @@ def parse_text(text: str, where: str) -> list[KittiObject]:
 def read_file(path: AnyPath) -> list[KittiObject]:
     """Objects of a label or result file. Raises LabelFormatError."""
     try:
-        return parse_text(path.read_text(encoding="utf-8"), str(path))
+        return parse_text(read_whole(path).decode(), str(path))
     except UnicodeDecodeError:
         raise LabelFormatError(str(path), "the file is not text.", "Give a KITTI label file.") from None
 

@@ -20,6 +20,7 @@ from boxlift.formats.cloud_limits import require_point_count
 from boxlift.formats.numpy_files import NPY_MAGIC, decode_npy, decode_npz
 from boxlift.formats.pcd import decode_pcd
 from boxlift.formats.ply import decode_ply
+from boxlift.storage import read_whole
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
@@ -74,7 +75,7 @@ def decode_points(
 def read_points(path: AnyPath) -> DecodedPoints:
     """decode_points for a file. Raises PointCloudError, also where the file cannot be opened."""
     try:
-        data = path.read_bytes()
+        data = read_whole(path)
     except OSError as error:
         raise PointCloudError(
             str(path), f"the file cannot be read ({error.strerror}).", "Check the path."
