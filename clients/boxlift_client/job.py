@@ -34,7 +34,7 @@ class LabelJob:
     """Where frames and prompts come from, how they are labelled, and where the labels go.
 
     source: a dataset root or folder. out: the label set's folder. prompts: a folder of KITTI text files,
-    inside the source (`label_2`, `det_2d`) or anywhere; annotations that the data set has (`tracklets`); or
+    inside the source (`label_2`, `det_2d`) or anywhere; annotations that the data set has by that name; or
     DETECTOR. masks: a folder of instance masks. detector: the file of a detector, for workers on this
     machine; the one in boxlift where None. frame_timeout_s: a frame that takes longer has failed; None: the
     engine tells from the others. A job is plain data, so that processes and machines can be handed it.

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 from boxlift.errors import LabelFormatError, MissingExtraError
 from boxlift.storage import read_whole, write_whole
+from boxlift_client.errors import RunStoppedError
 from boxlift_client.job import FrameReport, Outcome
 
 if TYPE_CHECKING:
@@ -94,13 +95,16 @@ class LedgerWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Write the rows that wait."""
+        """Write the rows that wait. Raises RunStoppedError where that fails; they go on waiting then."""
         self._last_s = self._clock()
         if not self._rows:
             return
+        path = self._folder / f"{self._name}-{self._parts + 1:06d}.parquet"
+        try:
+            write_whole(path, _parquet(self._rows))
+        except OSError as error:
+            raise RunStoppedError(f"The ledger cannot be written to {path} ({error}).") from None
         self._parts += 1
-        path = self._folder / f"{self._name}-{self._parts:06d}.parquet"
-        write_whole(path, _parquet(self._rows))
         self._rows = []
 
 

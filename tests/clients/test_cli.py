@@ -167,7 +167,7 @@ def test_out_that_cannot_be_written(boxlift: Boxlift, dataset: Path, tmp_path: P
     assert (ran.status, "there is no frame '999999'" in ran.err) == (2, True)
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_run_that_is_ended_keeps_what_is_finished(
     dataset: Path, tmp_path: Path, how: signal.Signals
 ) -> None:
@@ -193,8 +193,11 @@ def test_a_run_that_is_ended_keeps_what_is_finished(
     _, stderr = run.communicate()  # returns when the worker, which shares stderr, has ended too
     os.close(pipe)  # only now: closed earlier, the frame would end and the next one begin
     assert [path.name for path in (out / "data").iterdir()] == ["000000.txt"]
-    assert run.returncode == (130 if how == signal.SIGINT else -signal.SIGKILL)
-    assert ("Interrupted." in stderr) == (how == signal.SIGINT)
+    status = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGKILL: -signal.SIGKILL}
+    assert run.returncode == status[how]
+    assert ("Interrupted." in stderr) == (how != signal.SIGKILL)
+    # Who could still write its rows did.
+    assert (out / "ledger").is_dir() == (how != signal.SIGKILL)
 
 
 def test_demo(boxlift: Boxlift, tmp_path: Path) -> None:

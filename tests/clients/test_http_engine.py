@@ -11,12 +11,13 @@ from boxlift.settings import RELEASE
 from boxlift_client import LabelJob, Outcome, label_dataset
 from boxlift_client.engines.http import HttpEngine
 from boxlift_client.engines.local import LocalEngine
-from boxlift_client.errors import NotAuthorizedError, ServiceUnreachableError
+from boxlift_client.errors import NotAuthorizedError, ServiceUnreachableError, UnexpectedAnswerError
 from boxlift_service.guards.api_keys import ApiKeys, add_key, new_key
 from boxlift_service.guards.auth import AuthMiddleware
 from boxlift_service.settings import ServiceSettings
+from clients.killed_runs import write_many_frames
 from clients.label_sets import files_of
-from clients.scripted import Script, Scripted
+from clients.scripted import Script, Scripted, scripted
 from service.running import running_service
 from service.served import served
 from service.test_operation import Stopped, metric
@@ -78,3 +79,31 @@ def test_an_unknown_key_is_one_error_and_not_one_per_frame(dataset: Path, tmp_pa
     app = AuthMiddleware(Script("", [Scripted()]), keys, settings, lambda _: None)
     with served(app) as server, pytest.raises(NotAuthorizedError):
         label_dataset(LabelJob(dataset, tmp_path / "out", "label_2"), HttpEngine(server.url))
+
+
+def test_services_share_the_frames_and_one_that_is_killed_loses_none(
+    service_url: str, tmp_path: Path
+) -> None:
+    write_many_frames(tmp_path / "data", count=40, scenes=2)
+    job = LabelJob(tmp_path / "data", tmp_path / "out", "label_2", settings=RELEASE)
+    with running_service() as other:
+        # The third was never there.
+        engine = HttpEngine([service_url, other.url, "http://127.0.0.1:9"], workers=2)
+        killed_at: list[int] = []
+
+        def kill_soon(done: int, _: int) -> None:
+            if not killed_at and metric(other, 'boxlift_request_seconds_count{route="/label"}') >= 3:
+                other.process.kill()
+                killed_at.append(done)
+
+        summary = label_dataset(job, engine, on_progress=kill_soon)
+    assert summary.frames == {Outcome.LABELLED: 40}
+    assert killed_at[0] < 40
+
+
+def test_services_that_label_differently_are_not_mixed(
+    dataset: Path, service_url: str, tmp_path: Path
+) -> None:
+    script = Scripted(200, b'{"boxlift_version": "0.0.1", "labellers": [], "detector": null}')
+    with scripted(script) as old, pytest.raises(UnexpectedAnswerError, match=r"labels otherwise .*0\.0\.1"):
+        label_dataset(LabelJob(dataset, tmp_path, "label_2"), HttpEngine([service_url, old.url]))

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from boxlift.errors import LabelFormatError
+from boxlift_client.errors import RunStoppedError
 from boxlift_client.job import FrameReport, Outcome
 from boxlift_client.ledger import LedgerRow, LedgerWriter, read_ledger, read_rows
 
@@ -102,3 +103,14 @@ def test_a_damaged_part_is_named(tmp_path: Path) -> None:
     (tmp_path / "zzz.parquet").write_bytes(b"PAR1 and then something else")
     with pytest.raises(LabelFormatError, match=r"zzz\.parquet: the part of the ledger .* Delete it"):
         read_ledger(tmp_path)
+
+
+def test_rows_that_cannot_be_written_wait(tmp_path: Path) -> None:
+    (tmp_path / "ledger").write_text("no folder")
+    writer = LedgerWriter(tmp_path / "ledger")
+    writer.add(row("a"))
+    with pytest.raises(RunStoppedError, match="The ledger cannot be written"):
+        writer.flush()
+    (tmp_path / "ledger").unlink()
+    writer.flush()
+    assert list(read_ledger(tmp_path / "ledger").done) == ["a"]

@@ -32,8 +32,8 @@ def label(
     source: Annotated[
         str,
         typer.Argument(
-            help="Dataset root in any layout of docs/datasets.md (KITTI object: the folder that holds "
-            "training/), or a folder with velodyne/ and calib/; here, or as s3://BUCKET/FOLDER.",
+            help="Dataset root (KITTI object: the folder that holds training/), or a folder with velodyne/ "
+            "and calib/; here, or as s3://BUCKET/FOLDER.",
             metavar="SOURCE",
             show_default=False,
         ),
@@ -51,8 +51,8 @@ def label(
         str,
         typer.Option(
             metavar="NAME|DIR",
-            help="2D boxes: label_2 or det_2d (in the source), any folder of KITTI text files, or the data "
-            "set's own annotations (tracklets, annotations, camera_box, ...). detector: found in each image.",
+            help="2D boxes: label_2 or det_2d (in the source), or any folder of KITTI text files. "
+            "detector: found in each image.",
         ),
     ] = DETECTOR,
     detector: DetectorOption = None,

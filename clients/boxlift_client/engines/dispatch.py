@@ -134,9 +134,7 @@ class _Room(Generic[Worker]):
     def _staff(self) -> None:
         """As many workers as asked for, the slow ones not counted; of those no more than as many again."""
         there = len(self._starting) + len(self._idle) + len(self._busy) - len(self._slow)
-        # A frame that waits is the least a worker is started for.
-        needed = 1 if self._has_more() and there == 0 else self._workers if self._has_more() else 0
-        while there < needed and len(self._slow) <= self._workers:
+        while self._has_more() and there < self._workers and len(self._slow) <= self._workers:
             self._starting.add(self._crew.start())
             there += 1
 

@@ -12,7 +12,7 @@ import queue
 import threading
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass, field
 from time import perf_counter
 
@@ -167,22 +167,21 @@ class _Room:
         self._gone_s = gone_s
         self._heard_s = perf_counter()
         self._in_flight = 0
+        self._finished = asyncio.Event()
         self._tries: Counter[str] = Counter()
         self._store = FrameStore(job)
 
     async def label_with(self, service: _Service) -> None:
         """Give frames to a service, one after the other, until all are reported."""
-        while True:
+        while not self._finished.is_set():
             if not await self._is_admitted(service):
-                if self._in_flight == 0 and not self._has_more():
-                    return
                 continue
             if self._has_more():
                 await self._label_next(service)
             elif self._in_flight == 0:
-                return
+                self._finished.set()
             else:  # one of those in flight may come back
-                await asyncio.sleep(0.05)
+                await self._rest(0.05)
 
     def _has_more(self) -> bool:
         if not self._again and (name := next(self._names, None)) is not None:
@@ -197,6 +196,11 @@ class _Room:
                 await asyncio.to_thread(self._reports.put, report)
         finally:
             self._in_flight -= 1
+
+    async def _rest(self, seconds: float) -> None:
+        """Until the time is over, or all frames are reported."""
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._finished.wait(), seconds)
 
     async def _label(self, service: _Service, name: str) -> FrameReport | None:
         """The report of a frame; None where it is to be tried again."""
@@ -215,7 +219,7 @@ class _Room:
         except ServiceBusyError:
             self._heard_s = perf_counter()
             self._again.append(name)
-            await asyncio.sleep(jittered(_SHORTEST_REST_S))
+            await self._rest(jittered(_SHORTEST_REST_S))
             return None
         except (NotAuthorizedError, UnexpectedAnswerError):
             raise
@@ -248,7 +252,7 @@ class _Room:
             except ServiceError:
                 if perf_counter() - self._heard_s > self._gone_s:
                     raise
-                await asyncio.sleep(jittered(service.rest_s))
+                await self._rest(jittered(service.rest_s))
                 service.rest_s = min(2 * service.rest_s, _LONGEST_REST_S)
                 return False
             if identity != self._identity:

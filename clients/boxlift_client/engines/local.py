@@ -48,7 +48,7 @@ class LocalEngine:
         workers = self._workers or _workers_for(len(names))
         crew = _ProcessCrew(job, self._make_worker)
         try:
-            yield from dispatch(crew, names, workers, job.frame_timeout_s)
+            yield from dispatch(crew, names, min(workers, len(names)), job.frame_timeout_s)
         finally:
             crew.close()
 

@@ -4,6 +4,7 @@ Nothing is computed here: threads do not survive a fork.
 """
 
 from contextlib import suppress
+from importlib import import_module
 
 from boxlift.errors import MissingExtraError
 from boxlift.extras import open3d
@@ -11,4 +12,4 @@ from boxlift.extras import open3d
 with suppress(MissingExtraError):  # each worker will say so
     open3d()
 with suppress(ImportError):
-    import boxlift.labeller  # noqa: F401
+    import_module("boxlift.labeller")

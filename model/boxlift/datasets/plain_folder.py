@@ -12,7 +12,7 @@ from __future__ import annotations
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
 
-from boxlift.datasets.plain_answers import NoAnnotations, RectifiedImages
+from boxlift.datasets.plain_answers import NoAnnotations
 from boxlift.errors import DatasetError, NoLidarError
 from boxlift.formats import calibration, image, point_cloud
 from boxlift.formats.calibration import ParsedCalibration
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from boxlift.storage import AnyPath
 
 
-class PlainFolder(NoAnnotations, RectifiedImages):
+class PlainFolder(NoAnnotations):
     """FrameSource for a folder that holds velodyne/ and calib/."""
 
     layout = "plain folder"

@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Protocol, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from boxlift.errors import DatasetError
 from boxlift.formats import kitti_label
 from boxlift.formats.kitti_label import KittiObject
@@ -51,10 +48,6 @@ class FrameSource(Source, Protocol):
     @property
     def names(self) -> Sequence[str]:
         """Names of all frames, sorted; each is the stem of a file name."""
-
-    def rectified_boxes(self, name: str, boxes_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(N, 4) boxes x1, y1, x2, y2 of the image as it was recorded -> those of the image that `load`
-        gives. The same where images are recorded rectified."""
 
     def load(
         self,

@@ -10,8 +10,11 @@ from PIL import Image
 
 from boxlift import Calibration, Prompt
 from boxlift.datasets import load_objects, load_prompts, open_source
+from boxlift.datasets.plain_folder import PlainFolder
 from boxlift.errors import DatasetError, InputError, LabelFormatError, PointCloudError
+from boxlift.formats import kitti_label
 from boxlift.formats.calibration import to_kitti_text
+from boxlift.formats.kitti_label import KittiObject
 
 POINTS = np.arange(12, dtype=np.float32).reshape(3, 4)
 CALIBRATION = to_kitti_text(
@@ -162,3 +165,18 @@ def test_folders_that_are_no_source(tmp_path: Path) -> None:
     (tmp_path / "holiday.jpg").touch()
     with pytest.raises(DatasetError, match=r"holiday\.jpg"):
         open_source(tmp_path)
+
+
+def test_a_data_set_s_own_annotations_go_before_a_folder_of_that_name(tmp_path: Path) -> None:
+    class Annotated(PlainFolder):
+        label_names = ("boxes",)
+
+        def objects(self, labels: str, name: str) -> list[KittiObject]:
+            return kitti_label.parse_text(LABEL, f"{labels}/{name}")
+
+    (tmp_path / "boxes").mkdir()
+    (tmp_path / "boxes" / "a.txt").write_text("")
+    assert load_prompts("boxes", Annotated(tmp_path), "a") == (Prompt("Car", (1, 2, 3, 4)),)
+    assert load_prompts("boxes", PlainFolder(tmp_path), "a") == ()
+    with pytest.raises(DatasetError, match="no such annotations"):
+        PlainFolder(tmp_path).objects("boxes", "a")
