@@ -11,7 +11,10 @@ from boxlift_client.job import FrameReport, LabelJob, Outcome
 
 
 class OddWorker:
-    """`dies` kills the process, `dies once` so the first time, `hangs` hangs; any other name is labelled."""
+    """`dies` kills the process, `dies once` so the first time, `hangs` hangs, `tells` tells a variable.
+
+    Others are labelled.
+    """
 
     def __init__(self, job: LabelJob) -> None:
         self._marks = Path(str(job.out))
@@ -24,4 +27,11 @@ class OddWorker:
             os.kill(os.getpid(), signal.SIGKILL)
         if name == "hangs":
             time.sleep(600)
+        if name == "tells":
+            return FrameReport(name, Outcome.LABELLED, os.environ.get("BOXLIFT_TOLD", ""))
         return FrameReport(name, Outcome.LABELLED, seconds=0.001)
+
+
+def raising_worker(job: LabelJob) -> OddWorker:
+    """One that cannot be made."""
+    raise ValueError(f"nothing is at {job.source.name}")

@@ -12,8 +12,9 @@ from boxlift_client import LabelJob, Outcome
 from boxlift_client.engines import Engine
 from boxlift_client.engines.local import LocalEngine
 from boxlift_client.engines.ray import RayEngine
+from boxlift_client.errors import WorkersCannotStartError
 from boxlift_client.shard import Shard, parse_shard
-from clients.odd_workers import OddWorker
+from clients.odd_workers import OddWorker, raising_worker
 
 NAMES = [f"{index:04d}" for index in range(40)]
 
@@ -46,6 +47,18 @@ def test_others_do_not_wait_for_a_frame_that_hangs(job: LabelJob) -> None:
     # One worker was asked for: only its stand-in can have done them before the limit.
     assert reports[-1] == "hangs"
     assert sorted(reports) == sorted(["a", "hangs", *NAMES])
+
+
+def test_workers_have_the_environment_of_their_runner(job: LabelJob, monkeypatch: pytest.MonkeyPatch) -> None:
+    list(LocalEngine(1, OddWorker).run(job, ["a"]))  # the server that they are forked from is there
+    monkeypatch.setenv("BOXLIFT_TOLD", "now")
+    (report,) = LocalEngine(1, OddWorker).run(job, ["tells"])
+    assert report.sentence == "now"
+
+
+def test_a_worker_that_cannot_be_made_says_why(job: LabelJob) -> None:
+    with pytest.raises(WorkersCannotStartError, match="ValueError: nothing is at"):
+        list(LocalEngine(1, raising_worker).run(job, ["a"]))
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning", "ignore::FutureWarning")

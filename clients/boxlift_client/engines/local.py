@@ -72,10 +72,12 @@ class _ProcessCrew:
 
     def start(self) -> Connection:
         ours, theirs = self._context.Pipe()
-        process = self._context.Process(
-            target=work, args=(self._make_worker, self._job, theirs, self._lifeline), daemon=True
-        )
         with _single_threaded_children():
+            process = self._context.Process(
+                target=work,
+                args=(self._make_worker, self._job, theirs, self._lifeline, dict(os.environ)),
+                daemon=True,
+            )
             process.start()
         theirs.close()
         self._processes[ours] = process

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
 from typing import Protocol
 
@@ -29,8 +29,18 @@ class LabelsOne(Protocol):
 MakeWorker = Callable[[LabelJob], LabelsOne]
 
 
-def work(make_worker: MakeWorker, job: LabelJob, pipe: Connection, lifeline: Connection) -> None:
-    """In a new process: say whether it is ready, then label whatever comes, until the pipe closes."""
+def work(
+    make_worker: MakeWorker,
+    job: LabelJob,
+    pipe: Connection,
+    lifeline: Connection,
+    environment: Mapping[str, str],
+) -> None:
+    """In a new process: say whether it is ready, then label whatever comes, until the pipe closes.
+
+    environment: of the runner now; the server that this process was forked from has that of its own start.
+    """
+    os.environ.update(environment)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
     try:
@@ -40,6 +50,9 @@ def work(make_worker: MakeWorker, job: LabelJob, pipe: Connection, lifeline: Con
         return
     except ImportError as error:
         pipe.send(str(error))
+        return
+    except Exception as error:  # of a storage library, say: told, rather than a process that dies
+        pipe.send(f"{type(error).__name__}: {error}")
         return
     pipe.send(None)
     while True:
