@@ -164,7 +164,11 @@ class FrameStore:
     def _prompts(self, name: str, frame: Frame | None) -> tuple[Prompt, ...]:
         """Those on disk; none yet where they are to be found in the image. Raises InputError."""
         if self._labels is not None:
-            return load_prompts(self._labels, self._source, name)
+            prompts = load_prompts(self._labels, self._source, name)
+            if frame is None or frame.lens is None or self._labels in self._source.label_names:
+                return prompts
+            lens, size_px = frame.lens, frame.image_size_px
+            return tuple(replace(each, box_px=lens.rectified_box(each.box_px, size_px)) for each in prompts)
         if frame is not None and frame.image is None:
             raise DatasetError(
                 str(self._source.root / "image_2"),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from boxlift.boxes import Boxes3D
 from boxlift.camera import Calibration
 from boxlift.errors import ImageError, PointCloudError, PromptError
+from boxlift.lens import Lens
 from boxlift.sweep import SweepView
 
 
@@ -39,6 +40,8 @@ class Frame:
     image: (H, W, 3) uint8 RGB, where there is one.
     instance_ids: (H, W) unsigned integers where there are masks: prompt index + 1, 0 is no object.
     view: where it belongs among the cameras and sweeps of its data set; no labeller asks.
+    lens: what image and masks were rectified from, where they were: 2D boxes of the camera's own image must
+    go through it. `calibration` is the rectified camera's.
 
     Raises PointCloudError, ImageError or PromptError where an array has the wrong shape.
     """
@@ -51,6 +54,7 @@ class Frame:
     image: NDArray[np.uint8] | None = None
     instance_ids: NDArray[np.unsignedinteger] | None = None
     view: SweepView | None = None
+    lens: Lens | None = None
 
     def __post_init__(self) -> None:
         if self.points_velo.ndim != 2 or self.points_velo.shape[1] < 3:

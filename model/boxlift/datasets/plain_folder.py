@@ -4,7 +4,9 @@
     calib/STEM.txt    (or .json)                 or one calib.txt / calib.json for all frames
     image_2/STEM.png  (or .jpg .jpeg)            optional where the calibration says image_size
 
-Stems are any names. Where a stem has files of several suffixes, the first in the order above is taken.
+A calibration in JSON may have a distortion: image, masks and 2D boxes are those of the camera, and the frame
+that is loaded is rectified. Stems are any names. Where a stem has files of several suffixes, the first in the
+order above is taken.
 """
 
 from __future__ import annotations
@@ -12,11 +14,15 @@ from __future__ import annotations
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
 
+import numpy as np
+from numpy.typing import NDArray
+
 from boxlift.datasets.plain_answers import NoAnnotations
 from boxlift.errors import DatasetError, NoLidarError
 from boxlift.formats import calibration, image, point_cloud
 from boxlift.formats.calibration import ParsedCalibration
 from boxlift.frame import Frame, Prompt
+from boxlift.lens import Lens
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -64,8 +70,9 @@ class PlainFolder(NoAnnotations):
             calibration=parsed.calibration,
             image_size_px=self._image_size(name, encoded, parsed),
             prompts=prompts,
-            image=image.decode_image(encoded, str(image_path)) if with_image and encoded else None,
-            instance_ids=None if masks is None else image.decode_instance_ids(*_mask_file(masks, name)),
+            image=decode_rectified(encoded, str(image_path), parsed.lens) if with_image and encoded else None,
+            instance_ids=None if masks is None else read_instance_ids(masks, name, parsed.lens),
+            lens=parsed.lens,
         )
 
     @cached_property
@@ -83,11 +90,13 @@ class PlainFolder(NoAnnotations):
     @cached_property
     def _calibration_for_all(self) -> ParsedCalibration | None:
         paths = [self.root / f"calib{suffix}" for suffix in calibration.SUFFIXES]
-        return next((calibration.read_calibration(path) for path in paths if path.is_file()), None)
+        return next(
+            (calibration.read_calibration(path, with_lens=True) for path in paths if path.is_file()), None
+        )
 
     def _calibration(self, name: str) -> ParsedCalibration:
         if name in self._calibrations:
-            return calibration.read_calibration(self._calibrations[name])
+            return calibration.read_calibration(self._calibrations[name], with_lens=True)
         if self._calibration_for_all is not None:
             return self._calibration_for_all
         raise DatasetError(
@@ -136,11 +145,18 @@ def files_by_stem(folder: Any, suffixes: tuple[str, ...]) -> Any:
     return found
 
 
-def _mask_file(folder: AnyPath, name: str) -> tuple[AnyPath, str]:
-    """The frame's mask file, and how errors call it."""
+def decode_rectified(encoded: bytes, field: str, lens: Lens | None) -> NDArray[np.uint8]:
+    """An encoded image -> (H, W, 3) RGB of a camera without distortion. Raises ImageError."""
+    pixels = image.decode_image(encoded, field)
+    return pixels if lens is None else lens.rectified_image(pixels)
+
+
+def read_instance_ids(folder: AnyPath, name: str, lens: Lens | None) -> NDArray[np.uint16]:
+    """The masks of a frame, of the rectified image: folder/NAME.png. Raises DatasetError, PromptError."""
     path = folder / f"{name}.png"
     if not path.is_file():
         raise DatasetError(
             str(path), f"frame {name!r} has no masks there.", "Add them as 16-bit PNG, or leave --masks out."
         )
-    return path, str(path)
+    instance_ids = image.decode_instance_ids(path, str(path))
+    return instance_ids if lens is None else lens.rectified_ids(instance_ids)

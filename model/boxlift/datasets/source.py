@@ -17,7 +17,12 @@ if TYPE_CHECKING:
 
 # Modules of this package, each with `recognise(root) -> FrameSource | None`, in the order in which they are
 # asked. They are imported when a source is opened: some need libraries that others do not.
-_LAYOUTS = ("kitti_object", "plain_folder")
+_LAYOUTS = (
+    "kitti_tracking",
+    "kitti_object",
+    "plain_folder",
+    "kitti_raw",
+)
 
 
 class Source(Protocol):

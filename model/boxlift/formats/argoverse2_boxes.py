@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from boxlift.errors import LabelFormatError, MissingExtraError
-from boxlift.formats.ego_boxes import rotation_of
+from boxlift.poses import rotation_of
 from boxlift.storage import read_whole
 from boxlift.sweep import EgoObject, SweepLabels
 

@@ -5,7 +5,9 @@ KITTI text: one `KEY: numbers` a line. Read are the camera's projection (`P2`), 
 `R_rect_00`, `Tr_velo_cam`; the colon may be missing). Other keys are skipped.
 
 JSON: {"P2": 3 x 4, "cam_T_velo": 4 x 4} or, in place of the latter, {"R0_rect": 3 x 3,
-"Tr_velo_to_cam": 3 x 4}; optionally "image_size": [width, height] in pixels. Other keys are errors.
+"Tr_velo_to_cam": 3 x 4}; optionally "image_size": [width, height] in pixels, and for images that are not
+rectified "distortion": [k1, k2, p1, p2, k3] (OpenCV's order) with "distortion_model": "plumb_bob" (the
+default), "rational_polynomial" or "kannala_brandt" (fisheye). Other keys are errors.
 
 Where only the camera counts (`camera_only`, as to find objects in an image), the projection is enough: what
 either format says of a LiDAR is not read, and the calibration has a LiDAR in the camera's place.
@@ -14,7 +16,7 @@ either format says of a LiDAR is not read, and the calibration has a LiDAR in th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,7 @@ from boxlift.camera import Calibration, Floats
 from boxlift.errors import CalibrationError, member
 from boxlift.formats import archives
 from boxlift.formats.json_text import finite_number, parse_json
+from boxlift.lens import Lens
 from boxlift.storage import read_whole
 
 if TYPE_CHECKING:
@@ -33,24 +36,35 @@ SUFFIXES = (".txt", ".json")
 _LARGEST_IMAGE_SIDE_PX = 65_535
 # x_cam = -y_velo, y_cam = -z_velo, z_cam = x_velo.
 _LIDAR_IN_PLACE_OF_CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-_JSON_KEYS = ("P2", "cam_T_velo", "R0_rect", "Tr_velo_to_cam", "image_size")
+_LENS_KEYS = ("distortion", "distortion_model")
+_JSON_KEYS = ("P2", "cam_T_velo", "R0_rect", "Tr_velo_to_cam", "image_size", *_LENS_KEYS)
 
 
 @dataclass(frozen=True)
 class ParsedCalibration:
-    """What a calibration file says; image_size_px is (width, height) where it says so."""
+    """What a calibration file says.
+
+    image_size_px is (width, height) where it says so; lens that of an image which is not rectified yet.
+    """
 
     calibration: Calibration
     image_size_px: tuple[int, int] | None = None
+    lens: Lens | None = None
 
 
 def parse_calibration(
-    data: bytes | str, field: str = "calib", camera: int = 2, *, camera_only: bool = False
+    data: bytes | str,
+    field: str = "calib",
+    camera: int = 2,
+    *,
+    camera_only: bool = False,
+    with_lens: bool = False,
 ) -> ParsedCalibration:
     """A calibration file's content -> calibration. What begins with { is JSON, else it is KITTI text.
 
     `field` is what errors call the file; `camera` the number of KITTI's camera (P0 to P3), for text;
-    `camera_only` leaves the LiDAR out. Raises CalibrationError that names key, value and remedy.
+    `camera_only` leaves the LiDAR out; only where the caller can rectify (`with_lens`) may there be a
+    distortion. Raises CalibrationError that names key, value and remedy.
     """
     if isinstance(data, bytes):
         archive = archives.archive_kind(data)
@@ -63,11 +77,13 @@ def parse_calibration(
                 field, "the data is not text.", "Give KITTI calibration text or JSON."
             ) from None
     if data.lstrip().startswith("{"):
-        return _parse_json(data, field, camera_only)
+        return _parse_json(data, field, camera_only, with_lens)
     return ParsedCalibration(_parse_kitti_text(data, field, camera, camera_only))
 
 
-def read_calibration(path: AnyPath, camera: int = 2, *, camera_only: bool = False) -> ParsedCalibration:
+def read_calibration(
+    path: AnyPath, camera: int = 2, *, camera_only: bool = False, with_lens: bool = False
+) -> ParsedCalibration:
     """parse_calibration for a file. Raises CalibrationError, also where the file cannot be opened."""
     try:
         data = read_whole(path)
@@ -75,7 +91,13 @@ def read_calibration(path: AnyPath, camera: int = 2, *, camera_only: bool = Fals
         raise CalibrationError(
             str(path), f"the file cannot be read ({error.strerror}).", "Check the path."
         ) from None
-    return parse_calibration(data, str(path), camera, camera_only=camera_only)
+    return parse_calibration(data, str(path), camera, camera_only=camera_only, with_lens=with_lens)
+
+
+def imu_to_velo(path: AnyPath) -> Floats:
+    """(4, 4) of a calibration file's Tr_imu_to_velo, as its owner spells it. Raises CalibrationError, OSError."""
+    lines = _keyed_lines(read_whole(path).decode(errors="replace"))
+    return _compose(np.eye(3), _matrix(lines, ("Tr_imu_to_velo", "Tr_imu_velo"), (3, 4), str(path)))
 
 
 def to_kitti_text(calibration: Calibration) -> str:
@@ -93,49 +115,54 @@ def to_kitti_text(calibration: Calibration) -> str:
 
 
 def _parse_kitti_text(text: str, field: str, camera: int, camera_only: bool) -> Calibration:
-    lines: dict[str, list[str]] = {}
-    for line in text.splitlines():
-        words = line.replace(":", " ", 1).split()
-        if words:
-            lines[words[0]] = words[1:]
-
-    def matrix(keys: tuple[str, ...], shape: tuple[int, int]) -> Floats:
-        key = next((key for key in keys if key in lines), None)
-        if key is None:
-            found = f"its keys are {sorted(lines)[:12]}" if lines else "it is empty"
-            raise CalibrationError(
-                f"{field}.{keys[0]}",
-                f"the calibration has no line {keys[0]}: ({found:.200}).",
-                f"Add '{keys[0]}:' with {shape[0] * shape[1]} numbers.",
-            )
-        numbers = []
-        for word in lines[key]:
-            try:
-                numbers.append(float(word))
-            except ValueError:
-                raise CalibrationError(
-                    f"{field}.{key}", f"{word!r:.40} is not a number.", f"Give {shape[0] * shape[1]} numbers."
-                ) from None
-        if len(numbers) != shape[0] * shape[1]:
-            raise CalibrationError(
-                f"{field}.{key}",
-                f"the line has {len(numbers)} numbers.",
-                f"Give {shape[0] * shape[1]} numbers ({shape[0]} x {shape[1]}, row by row).",
-            )
-        return _finite(np.array(numbers).reshape(shape), f"{field}.{key}")
-
-    projection_keys = (f"P{camera}", f"P_rect_{camera:02d}")
-    image_P_cam = matrix(projection_keys, (3, 4))
+    lines = _keyed_lines(text)
+    image_P_cam = _matrix(lines, (f"P{camera}", f"P_rect_{camera:02d}"), (3, 4), field)
     if camera_only:
         return _camera(image_P_cam, f"{field}.P{camera}")
-    rectification = matrix(("R0_rect", "R_rect", "R_rect_00"), (3, 3))
-    cam0_from_velo = matrix(("Tr_velo_to_cam", "Tr_velo_cam"), (3, 4))
+    rectification = _matrix(lines, ("R0_rect", "R_rect", "R_rect_00"), (3, 3), field)
+    cam0_from_velo = _matrix(lines, ("Tr_velo_to_cam", "Tr_velo_cam"), (3, 4), field)
     return _calibration(
         image_P_cam, _compose(rectification, cam0_from_velo), f"{field}.P{camera}", f"{field}.Tr_velo_to_cam"
     )
 
 
-def _parse_json(text: str, field: str, camera_only: bool) -> ParsedCalibration:
+def _keyed_lines(text: str) -> dict[str, list[str]]:
+    lines: dict[str, list[str]] = {}
+    for line in text.splitlines():
+        words = line.replace(":", " ", 1).split()
+        if words:
+            lines[words[0]] = words[1:]
+    return lines
+
+
+def _matrix(lines: dict[str, list[str]], keys: tuple[str, ...], shape: tuple[int, int], field: str) -> Floats:
+    """The first of the keys that is there; errors name it."""
+    key = next((key for key in keys if key in lines), None)
+    if key is None:
+        found = f"its keys are {sorted(lines)[:12]}" if lines else "it is empty"
+        raise CalibrationError(
+            f"{field}.{keys[0]}",
+            f"the calibration has no line {keys[0]}: ({found:.200}).",
+            f"Add '{keys[0]}:' with {shape[0] * shape[1]} numbers.",
+        )
+    numbers = []
+    for word in lines[key]:
+        try:
+            numbers.append(float(word))
+        except ValueError:
+            raise CalibrationError(
+                f"{field}.{key}", f"{word!r:.40} is not a number.", f"Give {shape[0] * shape[1]} numbers."
+            ) from None
+    if len(numbers) != shape[0] * shape[1]:
+        raise CalibrationError(
+            f"{field}.{key}",
+            f"the line has {len(numbers)} numbers.",
+            f"Give {shape[0] * shape[1]} numbers ({shape[0]} x {shape[1]}, row by row).",
+        )
+    return _finite(np.array(numbers).reshape(shape), f"{field}.{key}")
+
+
+def _parse_json(text: str, field: str, camera_only: bool, with_lens: bool) -> ParsedCalibration:
     values = parse_json(text, field, CalibrationError)
     if not isinstance(values, dict):
         raise CalibrationError(field, "the JSON is no object.", f"Give an object with {list(_JSON_KEYS)}.")
@@ -169,6 +196,13 @@ def _parse_json(text: str, field: str, camera_only: bool) -> ParsedCalibration:
 
     image_P_cam = matrix("P2", (3, 4))
     size = None if "image_size" not in values else _image_size(values["image_size"], f"{field}.image_size")
+    lens = _lens(values, image_P_cam, field)
+    if lens is not None and not with_lens:
+        raise CalibrationError(
+            f"{field}.distortion",
+            "the image is not rectified.",
+            "Rectify it and leave the distortion out, or label the folder with boxlift label, which does so.",
+        )
     if camera_only:
         return ParsedCalibration(_camera(image_P_cam, f"{field}.P2"), size)
     by_parts = [key for key in ("R0_rect", "Tr_velo_to_cam") if key in values]
@@ -196,7 +230,21 @@ def _parse_json(text: str, field: str, camera_only: bool) -> ParsedCalibration:
             "Give cam_T_velo (4 x 4), or R0_rect (3 x 3) with Tr_velo_to_cam (3 x 4).",
         )
     calibration = _calibration(image_P_cam, cam_SE3_velo, f"{field}.P2", f"{field}.{lidar_key}")
-    return ParsedCalibration(calibration, size)
+    return ParsedCalibration(calibration, size, lens)
+
+
+def _lens(values: dict[str, Any], image_P_cam: Floats, field: str) -> Lens | None:
+    given = values.get("distortion", [])
+    numbers = [finite_number(value) for value in given] if isinstance(given, list) else [None]
+    if None in numbers:
+        raise CalibrationError(
+            f"{field}.distortion", f"{given!r:.80} is no list of numbers.", "Give OpenCV's coefficients."
+        )
+    try:
+        model = values.get("distortion_model", "plumb_bob")
+        return Lens.of(image_P_cam, str(model), [number for number in numbers if number is not None])
+    except CalibrationError as error:
+        raise CalibrationError(f"{field}.{error.field}", error.problem, error.remedy) from None
 
 
 def _image_size(value: object, where: str) -> tuple[int, int]:

@@ -7,10 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from boxlift.boxes import Boxes3D
-from boxlift.camera import Floats
+from boxlift.camera import Calibration, Floats
 from boxlift.formats.details import FrameDetails
-from boxlift.formats.kitti_label import KittiObject, boxes3d_of
+from boxlift.formats.kitti_label import KittiObject, boxes3d_of, from_box3d
+from boxlift.poses import inverse
 from boxlift.sweep import EgoObject
+
+_MOST_TRUNCATED = 0.9
 
 # A camera that looks ahead, taken for the ego frame: x = z of the camera, y = -x, z = -y.
 LOOKING_AHEAD = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]], dtype=np.float64)
@@ -52,12 +55,55 @@ def ego_objects(
     )
 
 
-def ego_objects_of_kitti(objects: Sequence[KittiObject]) -> tuple[EgoObject, ...]:
-    """KITTI lines with a 3D box -> their boxes, the camera's frame taken for the ego frame."""
+def boxes_in_camera(objects: Sequence[EgoObject], ego_SE3_cam: Floats) -> Boxes3D:
+    """Boxes of the ego frame -> in a camera's, upright there: of a heading what lies in its x-z plane counts."""
+    cam_SE3_ego = inverse(ego_SE3_cam)
+    center_ego = np.array([each.center_ego for each in objects], dtype=np.float64).reshape(-1, 3)
+    heading_ego = np.array([each.ego_SO3_object[:, 0] for each in objects], dtype=np.float64).reshape(-1, 3)
+    heading_cam = heading_ego @ cam_SE3_ego[:3, :3].T
+    return Boxes3D(
+        center_ego @ cam_SE3_ego[:3, :3].T + cam_SE3_ego[:3, 3],
+        np.array([each.length_m for each in objects], dtype=np.float64),
+        np.array([each.width_m for each in objects], dtype=np.float64),
+        np.array([each.height_m for each in objects], dtype=np.float64),
+        np.arctan2(-heading_cam[:, 2], heading_cam[:, 0]),
+    )
+
+
+def objects_in_view(
+    objects: Sequence[EgoObject], ego_SE3_cam: Floats, calibration: Calibration, size_px: tuple[int, int]
+) -> list[KittiObject]:
+    """What a camera could see of boxes in the ego frame: lines whose 2D box is the outline, cut to the image.
+
+    Left out is what lies outside the image with more than nine tenths of its outline. Whether something
+    stands before an object is not known here: its occlusion is -1.
+    """
+    boxes = boxes_in_camera(objects, ego_SE3_cam)
+    outlines = boxes.project(calibration)
+    limit = np.array([*size_px, *size_px], dtype=np.float64) - 1
+    lines = []
+    for index, (each, outline) in enumerate(zip(objects, outlines, strict=True)):
+        if np.isnan(outline).any():
+            continue
+        x1, y1, x2, y2 = (float(edge) for edge in outline.clip(0, limit))
+        whole = float((outline[2] - outline[0]) * (outline[3] - outline[1]))
+        truncated = 1 - (x2 - x1) * (y2 - y1) / max(whole, 1e-9)
+        if truncated > _MOST_TRUNCATED or x2 - x1 < 1 or y2 - y1 < 1:
+            continue
+        box = boxes[index : index + 1]
+        lines.append(from_box3d(each.category, (x1, y1, x2, y2), box, truncated=round(truncated, 2)))
+    return lines
+
+
+def ego_objects_of_kitti(
+    objects: Sequence[KittiObject], ego_SE3_cam: Floats = LOOKING_AHEAD
+) -> tuple[EgoObject, ...]:
+    """KITTI lines -> their boxes, one for each line that has one; without a pose, the camera's frame is taken
+    for the ego frame."""
     known = [each for each in objects if each.has_box3d]
     return ego_objects(
         boxes3d_of(known),
-        LOOKING_AHEAD,
+        ego_SE3_cam,
         [each.category for each in known],
         [1.0 if each.score is None else each.score for each in known],
     )
@@ -81,17 +127,3 @@ def ego_objects_of_details(details: FrameDetails) -> tuple[EgoObject, ...]:
         [each.score for each, _ in known],
         () if view is None else (view.camera,),
     )
-
-
-def rotation_of(quaternions_wxyz: Floats) -> Floats:
-    """(N, 4) quaternions w, x, y, z of any length but 0 -> (N, 3, 3) rotations."""
-    w, x, y, z = (quaternions_wxyz / np.linalg.norm(quaternions_wxyz, axis=1, keepdims=True)).T
-    rows: Floats = np.stack(
-        [
-            *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-            *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-            *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-        ],
-        axis=1,
-    ).reshape(-1, 3, 3)
-    return rows

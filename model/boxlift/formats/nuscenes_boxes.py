@@ -17,7 +17,7 @@ import numpy as np
 
 from boxlift.camera import Floats
 from boxlift.errors import DatasetError, LabelFormatError
-from boxlift.formats.ego_boxes import rotation_of
+from boxlift.poses import rotation_of
 from boxlift.storage import read_whole
 from boxlift.sweep import EgoObject, SweepLabels
 

@@ -16,9 +16,6 @@ from boxlift.datasets.generated.scene import Scene
 
 NO_OBJECT = -1
 
-# x_cam = -y_scene, y_cam = camera height - z_scene, z_cam = x_scene.
-_CAM_AXES_OF_SCENE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-
 # What becomes of a beam that meets glass (ours): a return from the glass, from what is behind, or none.
 _GLASS_RETURNS, _GLASS_PASSES = 0.12, 0.38
 # Half the beams come back whose reflectance x cosine / range^2 is this: asphalt seen from 1.7 m at 45 m.
@@ -89,17 +86,17 @@ def camera_rays(rig: Rig) -> tuple[Floats, Floats]:
         np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(calibration.image_P_cam[:, :3]).T
     )
     directions_cam /= np.linalg.norm(directions_cam, axis=-1, keepdims=True)
-    return cam_to_scene(center_cam, rig), directions_cam @ _CAM_AXES_OF_SCENE
+    return cam_to_scene(center_cam, rig), directions_cam @ rig.cam_axes_of_scene
 
 
 def cam_to_scene(points_cam: Floats, rig: Rig) -> Floats:
     """(..., 3) rectified camera frame -> scene frame."""
-    return np.asarray((points_cam - np.array([0, rig.camera_height_m, 0])) @ _CAM_AXES_OF_SCENE)
+    return np.asarray((points_cam - np.array([0, rig.camera_height_m, 0])) @ rig.cam_axes_of_scene)
 
 
 def scene_to_cam(points: Floats, rig: Rig) -> Floats:
     """(..., 3) scene frame -> rectified camera frame."""
-    return np.asarray(points @ _CAM_AXES_OF_SCENE.T + np.array([0, rig.camera_height_m, 0]))
+    return np.asarray(points @ rig.cam_axes_of_scene.T + np.array([0, rig.camera_height_m, 0]))
 
 
 def scan(
@@ -108,7 +105,7 @@ def scan(
     """One turn of the LiDAR: points_velo (N, 4) with intensity in 0..1, and each point's object (or -1)."""
     cam_SE3_velo = rig.calibration.cam_SE3_velo
     directions_velo = _beams(rig, rng)
-    directions = directions_velo @ cam_SE3_velo[:3, :3].T @ _CAM_AXES_OF_SCENE
+    directions = directions_velo @ cam_SE3_velo[:3, :3].T @ rig.cam_axes_of_scene
     origin = cam_to_scene(cam_SE3_velo[:3, 3], rig)
     hits = caster.cast(origin, directions)
     range_m, face, normal = hits.range_m.copy(), hits.face.copy(), hits.normal.copy()
