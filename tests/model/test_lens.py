@@ -36,11 +36,8 @@ def through_lens(straight_px: NDArray[np.float64], model: str) -> NDArray[np.flo
     rays = np.column_stack([(straight_px - _K[:2, 2]) / (_K[0, 0], _K[1, 1]), np.ones(len(straight_px))])
     rays, none, coefficients = rays.reshape(-1, 1, 3), np.zeros(3), np.array(_LENSES[model])
     project = cv2.fisheye.projectPoints if model == "kannala_brandt" else cv2.projectPoints
-    if model == "kannala_brandt":
-        pixels, _ = project(rays, none, none, _K, coefficients)
-    else:
-        pixels, _ = project(rays, none, none, _K, coefficients)
-    return np.asarray(pixels).reshape(-1, 2)
+    pixels, _ = project(rays, none, none, _K, coefficients)
+    return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
 
 
 @pytest.mark.parametrize("model", sorted(_LENSES))
@@ -76,7 +73,7 @@ def test_a_box_grows_or_shrinks_with_its_outline() -> None:
     # A barrel pulls the border in: straightened, things there move out and get larger.
     assert x1 < box[0]
     assert x2 - x1 > box[2] - box[0]
-    assert 0 <= x1
+    assert x1 >= 0
     assert 0 < y1 < y2 < 480
     nothing = (5.0, 5.0, 5.0, 9.0)
     assert lens.rectified_box(nothing, _SIZE_PX) == nothing

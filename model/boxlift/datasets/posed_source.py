@@ -1,4 +1,4 @@
-"""What layouts have in common that know vehicles: several cameras a sweep, mounted on an ego frame, and poses.
+"""What layouts have in common that know vehicles: cameras mounted on an ego frame, and its poses.
 
 A layout says what is in its files (a Shot, the points, the boxes); this module makes frames of it. Points are
 handed on in a LiDAR frame whose axes are the ego frame's and whose origin is the LiDAR.
@@ -32,9 +32,10 @@ if TYPE_CHECKING:
 class Shot:
     """One camera's image of one sweep, and where both were taken.
 
-    sweep, log, camera, timestamp_ns: see SweepView. image_P_cam: (3, 4) of the rectified camera. mount_SE3_cam:
-    (4, 4) camera (x right, y down, z forward) -> ego frame, as it is mounted. lidar_origin_ego: (3,).
-    world_SE3_ego: at the sweep's time; world_SE3_ego_at_image: when the image was taken, None for the same.
+    sweep, log, camera, timestamp_ns: see SweepView. image_P_cam: (3, 4) of the rectified camera.
+    mount_SE3_cam: (4, 4) camera (x right, y down, z forward) -> ego frame, as it is mounted.
+    lidar_origin_ego: (3,). world_SE3_ego: at the sweep's time; world_SE3_ego_at_image: when the image was
+    taken, None for the same.
     """
 
     sweep: str

@@ -95,7 +95,7 @@ def read_calibration(
 
 
 def imu_to_velo(path: AnyPath) -> Floats:
-    """(4, 4) of a calibration file's Tr_imu_to_velo, as its owner spells it. Raises CalibrationError, OSError."""
+    """(4, 4) of a calibration file's Tr_imu_to_velo, in either spelling. Raises CalibrationError, OSError."""
     lines = _keyed_lines(read_whole(path).decode(errors="replace"))
     return _compose(np.eye(3), _matrix(lines, ("Tr_imu_to_velo", "Tr_imu_velo"), (3, 4), str(path)))
 

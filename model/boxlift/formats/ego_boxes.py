@@ -56,7 +56,7 @@ def ego_objects(
 
 
 def boxes_in_camera(objects: Sequence[EgoObject], ego_SE3_cam: Floats) -> Boxes3D:
-    """Boxes of the ego frame -> in a camera's, upright there: of a heading what lies in its x-z plane counts."""
+    """Boxes of the ego frame -> in a camera's, upright there: of a heading its x-z part counts."""
     cam_SE3_ego = inverse(ego_SE3_cam)
     center_ego = np.array([each.center_ego for each in objects], dtype=np.float64).reshape(-1, 3)
     heading_ego = np.array([each.ego_SO3_object[:, 0] for each in objects], dtype=np.float64).reshape(-1, 3)

@@ -1,7 +1,7 @@
 """KITTI tracking's label files: KITTI object lines with frame and track id before them, a file per sequence.
 
-Truncation is a level there (0 none, 1 partly, 2 largely), not a share; levels are read as 0, .25 and .75 (ours).
-Source: readme of the KITTI tracking development kit.
+Truncation is a level there (0 none, 1 partly, 2 largely), not a share; levels are read as 0, .25, .75
+(ours). Source: readme of the KITTI tracking development kit.
 """
 
 from __future__ import annotations

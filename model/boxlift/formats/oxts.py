@@ -1,6 +1,6 @@
-"""KITTI's GPS/IMU records: 30 numbers a line, of which latitude, longitude, altitude, roll, pitch and yaw are read.
+"""KITTI's GPS/IMU records: 30 numbers a line, latitude, longitude, altitude, roll, pitch and yaw first.
 
-Poses are in a fixed frame that begins where the first record was taken: Mercator's projection at its latitude.
+Poses are in a fixed frame that begins where the first record was taken: Mercator's projection there.
 Source: the KITTI raw development kit (Geiger et al., IJRR 2013).
 """
 

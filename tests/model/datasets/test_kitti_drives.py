@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +35,7 @@ def write_raw(root: Path, scene: Town, frames: int = 2) -> Path:
         (drive / part).mkdir(parents=True)
     rig = scene.cameras[FRONT].rig
     row = " ".join
-    numbers = {
+    numbers: dict[str, Iterable[float]] = {
         "S_rect_02": rig.image_size_px,
         "P_rect_02": rig.projection.ravel(),
         "R_rect_00": rig.rectification.ravel(),
@@ -207,7 +209,7 @@ def test_real_tracks_and_records(kitti_object_root: Path) -> None:
         pytest.skip("no ../shared/kitti/sequences")
     files = sorted((sequence / "oxts").glob("*.txt"))
     poses = imu_poses([path.read_text() for path in files], "oxts")
-    steps = [np.linalg.norm(b[:3, 3] - a[:3, 3]) for a, b in zip(poses, poses[1:], strict=False)]
+    steps = [np.linalg.norm(b[:3, 3] - a[:3, 3]) for a, b in pairwise(poses)]
     assert max(steps) < 40
     assert max(abs(each[2, 3]) for each in poses) < 20
     tracks = kitti_tracks.read_tracks(sequence / "label_02.txt")

@@ -1,4 +1,4 @@
-"""A generated sweep that several cameras see, for data sets in other layouts, and what a reader must find in it."""
+"""A generated sweep that several cameras see, for other layouts, and what a reader must find in it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,9 @@ class Town:
     def png(self, camera: str) -> bytes:
         """What a camera saw, as a file."""
         buffer = io.BytesIO()
-        Image.fromarray(self.cameras[camera].frame.image).save(buffer, "PNG")
+        pixels = self.cameras[camera].frame.image
+        assert pixels is not None
+        Image.fromarray(pixels).save(buffer, "PNG")
         return buffer.getvalue()
 
 
