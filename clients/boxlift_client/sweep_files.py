@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from boxlift.errors import DatasetError, LabelFormatError, OptionsError
-from boxlift.formats import argoverse2_boxes, details, kitti_label
+from boxlift.formats import argoverse2_boxes, details, kitti_label, tables
 from boxlift.formats.ego_boxes import ego_objects_of_details, ego_objects_of_kitti
 from boxlift.formats.nuscenes_boxes import NuscenesBoxes
 from boxlift.storage import read_whole
@@ -66,7 +66,7 @@ def kind_of(path: AnyPath) -> _Kind:
     if path.is_file():
         if path.suffix == ".json":
             return "nuScenes results"
-        if path.suffix in argoverse2_boxes.SUFFIXES:
+        if path.suffix in tables.SUFFIXES:
             return "Argoverse 2"
     elif path.is_dir():
         if (path / "details").is_dir():
@@ -104,7 +104,7 @@ def _read_argoverse2(path: AnyPath) -> list[SweepLabels]:
 
 def _tables(folder: AnyPath) -> list[AnyPath]:
     """The tables in a folder, else those of the logs in it."""
-    own = sorted(each for each in folder.iterdir() if each.suffix in argoverse2_boxes.SUFFIXES)
+    own = sorted(each for each in folder.iterdir() if each.suffix in tables.SUFFIXES)
     return own or sorted(folder.glob(f"*/{_ANNOTATIONS}"))
 
 

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.camera import Calibration, Floats
+from boxlift.datasets.class_names import boxlift_class
 from boxlift.datasets.plain_folder import decode_rectified, read_instance_ids
 from boxlift.errors import DatasetError
 from boxlift.formats.ego_boxes import objects_in_view
@@ -26,6 +27,9 @@ from boxlift.sweep import EgoObject, SweepLabels, SweepView
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
+
+# What --prompts calls the boxes of data sets that have one kind of them.
+ANNOTATIONS = "annotations"
 
 
 @dataclass(frozen=True)
@@ -102,9 +106,13 @@ class PosedSource(ABC):
         raise DatasetError(labels, f"frame {name!r} has no such annotations.", "Give a folder of labels.")
 
     def objects(self, labels: str, name: str) -> list[KittiObject]:
-        """See Source.objects."""
+        """See Source.objects. Classes are boxlift's where it has them; what holds no point is left out."""
         shot = self.shot(name)
-        objects = self.ego_objects(labels, name)
+        objects = [
+            replace(each, category=boxlift_class(each.category))
+            for each in self.ego_objects(labels, name)
+            if each.points != 0
+        ]
         return objects_in_view(objects, shot.ego_SE3_cam, shot.calibration, shot.size_px)
 
     def load(

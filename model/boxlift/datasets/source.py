@@ -22,6 +22,8 @@ _LAYOUTS = (
     "kitti_object",
     "plain_folder",
     "kitti_raw",
+    "nuscenes",
+    "argoverse2",
 )
 
 

@@ -7,19 +7,17 @@ Source: the user guide of the Argoverse 2 API (annotations.feather; 3D object de
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from boxlift.errors import LabelFormatError, MissingExtraError
+from boxlift.errors import LabelFormatError
+from boxlift.formats.tables import read_columns
 from boxlift.poses import rotation_of
-from boxlift.storage import read_whole
 from boxlift.sweep import EgoObject, SweepLabels
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
-
-SUFFIXES = (".feather", ".parquet")
 
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _CENTER = ("tx_m", "ty_m", "tz_m")
@@ -32,7 +30,7 @@ def read_boxes(path: AnyPath, log: str = "") -> list[SweepLabels]:
 
     Raises LabelFormatError where the file is no such table, MissingExtraError without pyarrow, OSError.
     """
-    columns = _columns(path)
+    columns = read_columns(path)
     missing = [name for name in _REQUIRED if name not in columns]
     if missing:
         raise LabelFormatError(
@@ -83,20 +81,3 @@ def read_boxes(path: AnyPath, log: str = "") -> list[SweepLabels]:
         )
         for (of_log, time), rows in rows_of.items()
     ]
-
-
-def _columns(path: AnyPath) -> dict[str, list[Any]]:
-    try:
-        import pyarrow
-        from pyarrow import feather, parquet
-    except ImportError:
-        raise MissingExtraError("pyarrow", "client") from None
-    source = pyarrow.BufferReader(read_whole(path))
-    try:
-        table = parquet.read_table(source) if path.suffix == ".parquet" else feather.read_table(source)
-    except (pyarrow.ArrowException, OSError) as error:
-        raise LabelFormatError(
-            str(path), f"the file is no table ({str(error)[:200]}).", "Give a Feather or Parquet file."
-        ) from None
-    columns: dict[str, list[Any]] = table.to_pydict()
-    return columns

@@ -35,7 +35,7 @@ def ego_objects(
     cam_SO3_object = np.stack(
         [
             np.stack([cos, flat, -sin], axis=1),
-            np.stack([-sin, flat, -cos], axis=1),
+            np.stack([sin, flat, cos], axis=1),
             np.stack([flat, flat - 1, flat], axis=1),
         ],
         axis=2,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -12,7 +12,7 @@ from PIL import Image
 
 from boxlift.boxes import wrap_angle
 from boxlift.camera import Floats
-from boxlift.datasets.generated import KITTI_RIG, GeneratedFrame, generate
+from boxlift.datasets.generated import KITTI_RIG, GeneratedFrame, Rig, generate
 from boxlift.formats.ego_boxes import ego_objects_of_kitti
 from boxlift.formats.kitti_label import KittiObject
 from boxlift.frame import Frame
@@ -48,7 +48,18 @@ class Town:
 @cache
 def town(seed: int = SEED) -> Town:
     """The sweep of a seed, the same object each time: not to be changed."""
-    cameras = {name: generate(seed, KITTI_RIG.turned(yaw, name)) for name, yaw in _YAW_DEG.items()}
+    return _town(seed, KITTI_RIG)
+
+
+@cache
+def pinhole_town(seed: int = SEED) -> Town:
+    """The same through cameras whose projection has no fourth column, as outside KITTI."""
+    rig = replace(KITTI_RIG, projection_offset=(0.0, 0.0, 0.0), rectification_deg=(0.0, 0.0, 0.0))
+    return _town(seed, rig)
+
+
+def _town(seed: int, rig: Rig) -> Town:
+    cameras = {name: generate(seed, rig.turned(yaw, name)) for name, yaw in _YAW_DEG.items()}
     objects: list[EgoObject] = []
     for generated in cameras.values():
         mount = inverse(generated.frame.calibration.cam_SE3_velo)
