@@ -24,6 +24,7 @@ _LAYOUTS = (
     "kitti_raw",
     "nuscenes",
     "argoverse2",
+    "waymo",
 )
 
 

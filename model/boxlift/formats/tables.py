@@ -23,6 +23,7 @@ def read_columns(path: AnyPath, names: Sequence[str] | None = None) -> dict[str,
 def read_table(path: AnyPath, names: Sequence[str] | None = None, filters: Any = None) -> Any:
     """A pyarrow.Table of all columns, or of `names`; filters: pyarrow's, of Parquet files alone.
 
+    Of a Parquet file only what is asked for is read: it may be larger than memory.
     Raises LabelFormatError, MissingExtraError without pyarrow, OSError.
     """
     try:
@@ -30,12 +31,12 @@ def read_table(path: AnyPath, names: Sequence[str] | None = None, filters: Any =
         from pyarrow import feather, parquet
     except ImportError:
         raise MissingExtraError("pyarrow", "client") from None
-    source = pyarrow.BufferReader(read_whole(path))
     chosen = None if names is None else list(names)
     try:
         if path.suffix == ".parquet":
-            return parquet.read_table(source, columns=chosen, filters=filters)
-        return feather.read_table(source, columns=chosen)
+            with path.open("rb") as file:
+                return parquet.read_table(file, columns=chosen, filters=filters)
+        return feather.read_table(pyarrow.BufferReader(read_whole(path)), columns=chosen)
     except (pyarrow.ArrowException, OSError, KeyError) as error:
         raise LabelFormatError(
             str(path), f"the file is no table ({str(error)[:200]}).", "Give a Feather or Parquet file."
