@@ -25,6 +25,7 @@ _LAYOUTS = (
     "nuscenes",
     "argoverse2",
     "waymo",
+    "mcap_recordings",
 )
 
 
