@@ -12,12 +12,10 @@ from __future__ import annotations
 import hashlib
 from typing import TYPE_CHECKING
 
-from pydantic import ValidationError
-
-from boxlift.errors import LabelFormatError
-from boxlift.formats.details import FrameDetails, ObjectDetails, kitti_object_of, kitti_text, parse_text
+from boxlift.formats.details import FrameDetails, ObjectDetails, kitti_object_of, kitti_text
 from boxlift.formats.kitti_label import UNKNOWN_ANGLE, UNKNOWN_LOCATION, UNKNOWN_SIZE, KittiObject
 from boxlift.storage import write_whole
+from boxlift_client.label_set import read_details
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
@@ -54,12 +52,8 @@ def read_objects(path: AnyPath) -> list[KittiObject]:
 
     Raises LabelFormatError.
     """
-    try:
-        details = parse_text(path.read_bytes())
-    except ValidationError as error:
-        problem = f"the file holds no details of boxlift ({error.errors()[0]['msg']})."
-        raise LabelFormatError(str(path), problem, "Label the frame again.") from None
-    return [kitti_object_of(item.kitti) if item.kitti else _without_box(item) for item in details.objects]
+    objects = read_details(path).objects
+    return [kitti_object_of(item.kitti) if item.kitti else _without_box(item) for item in objects]
 
 
 def _without_box(item: ObjectDetails) -> KittiObject:

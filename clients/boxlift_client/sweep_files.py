@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-from pydantic import ValidationError
-
-from boxlift.errors import DatasetError, LabelFormatError, OptionsError
-from boxlift.formats import argoverse2_boxes, details, kitti_label, tables
-from boxlift.formats.ego_boxes import ego_objects_of_details, ego_objects_of_kitti
+from boxlift.errors import DatasetError, OptionsError
+from boxlift.formats import argoverse2_boxes, kitti_label, tables
+from boxlift.formats.ego_boxes import ego_objects_of_kitti
 from boxlift.formats.nuscenes_boxes import NuscenesBoxes
-from boxlift.storage import read_whole
 from boxlift.sweep import SweepLabels
+from boxlift_client.label_set import read_sweeps_of
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
@@ -109,31 +106,7 @@ def _tables(folder: AnyPath) -> list[AnyPath]:
 
 
 def _read_label_set(path: AnyPath) -> list[SweepLabels]:
-    """The views of each sweep together. What two cameras saw is there twice."""
-    sweeps: dict[tuple[str, str], SweepLabels] = {}
-    for name in sorted(file.name for file in (path / "details").glob("*.json")):
-        file = path / "details" / name
-        try:
-            frame = details.parse_text(read_whole(file))
-        except ValidationError as error:
-            raise LabelFormatError(
-                str(file),
-                f"the file is no details file ({error.errors()[0]['msg']}).",
-                "Label the frame again.",
-            ) from None
-        view, objects = frame.view, ego_objects_of_details(frame)
-        key = ("", frame.frame) if view is None else (view.log, view.sweep)
-        before = sweeps[key].objects if key in sweeps else ()
-        sweeps[key] = SweepLabels(
-            sweep=key[1],
-            objects=before + objects,
-            log=key[0],
-            timestamp_ns=None if view is None else view.timestamp_ns,
-            world_SE3_ego=None
-            if view is None or view.world_SE3_ego is None
-            else np.array(view.world_SE3_ego),
-        )
-    return list(sweeps.values())
+    return list(read_sweeps_of(path))
 
 
 def _read_with_poses(

@@ -236,7 +236,7 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
         (tmp_path / "bad.json", LabelFormatError, "no nuScenes results file"),
         (tmp_path / "bad_box.json", LabelFormatError, "no usable 'translation'"),
         (tmp_path / "other.feather", LabelFormatError, "no column timestamp_ns"),
-        (tmp_path / "set", LabelFormatError, "no details file"),
+        (tmp_path / "set", LabelFormatError, "no details of boxlift"),
     ]
     for path, error, problem in cases:
         with pytest.raises(error, match=problem):

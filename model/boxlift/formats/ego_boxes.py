@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from boxlift.camera import Calibration, Floats
 from boxlift.formats.details import FrameDetails
 from boxlift.formats.kitti_label import KittiObject, boxes3d_of, from_box3d
 from boxlift.poses import inverse
-from boxlift.sweep import EgoObject
+from boxlift.sweep import EgoObject, SweepLabels
 
 _MOST_TRUNCATED = 0.9
 
@@ -109,8 +110,8 @@ def ego_objects_of_kitti(
     )
 
 
-def ego_objects_of_details(details: FrameDetails) -> tuple[EgoObject, ...]:
-    """What a view has of its sweep -> in the ego frame of the view; without a view the camera's is taken."""
+def sweep_labels_of_details(details: FrameDetails) -> SweepLabels:
+    """What one view has of its sweep, in the ego frame of the view; without a view the camera's is taken."""
     view = details.view
     known = [(each, each.box) for each in details.objects if each.box is not None]
     boxes = Boxes3D(
@@ -120,10 +121,20 @@ def ego_objects_of_details(details: FrameDetails) -> tuple[EgoObject, ...]:
         np.array([box.height_m for _, box in known], dtype=np.float64),
         np.array([box.rotation_y for _, box in known], dtype=np.float64),
     )
-    return ego_objects(
+    objects = ego_objects(
         boxes,
         LOOKING_AHEAD if view is None else np.array(view.ego_SE3_cam, dtype=np.float64),
         [each.category for each, _ in known],
         [each.score for each, _ in known],
         () if view is None else (view.camera,),
+    )
+    return SweepLabels(
+        sweep=details.frame if view is None else view.sweep,
+        objects=tuple(
+            replace(box, flags=each.flags, points=each.points.in_cluster)
+            for box, (each, _) in zip(objects, known, strict=True)
+        ),
+        log="" if view is None else view.log,
+        timestamp_ns=None if view is None else view.timestamp_ns,
+        world_SE3_ego=None if view is None or view.world_SE3_ego is None else np.array(view.world_SE3_ego),
     )
