@@ -2,9 +2,10 @@
 
     python benchmarks/merging.py [--sweeps 40] [--first-seed 500]
 
-Cameras look ahead and 50 degrees to either side, each 80 degrees wide; prompts are the truth's 2D boxes. A label
-belongs to the true object whose centre is nearest, within 3 m. Per threshold on the 3D IoU: objects that two or
-three cameras labelled, how many of them are one label afterwards, and labels that hold two true objects.
+Cameras look ahead and 50 degrees to either side, each 80 degrees wide; prompts are the truth's 2D boxes. A
+label belongs to the true object whose centre is nearest, within 3 m. Per threshold on the 3D IoU: objects
+that two or three cameras labelled, how many of them are one label afterwards, how many are still two, and
+true objects that had a label before and have none: another's took it.
 """
 
 from __future__ import annotations
@@ -64,15 +65,13 @@ def main() -> None:
         labelled_views(seed, labeller)
         for seed in range(arguments.first_seed, arguments.first_seed + arguments.sweeps)
     ]
-    print(
-        f"{arguments.sweeps} sweeps, {sum(len(v.objects) for views, _ in sweeps for v in views)} labels of views"
-    )
+    before = sum(len(view.objects) for views, _ in sweeps for view in views)
+    print(f"{arguments.sweeps} sweeps, {before} labels of views")
     print(f"threshold now: {SAME_OBJECT_IOU}")
-    print(
-        f"{'IoU':>5} {'seen by 2+':>11} {'one label':>10} {'still twice':>12} {'two in one':>11} {'labels':>7}"
-    )
+    heads = ("seen by 2+", "one label", "still twice", "swallowed", "labels")
+    print(f"{'IoU':>5}" + "".join(f"{head:>12}" for head in heads))
     for threshold in _THRESHOLDS:
-        shared = once = twice = mixed = total = 0
+        shared = once = twice = swallowed = total = 0
         for views, centers in sweeps:
             seen = Counter(owner for view in views for owner in set(owners(view, centers)) if owner >= 0)
             merged = merge_views(views, threshold)
@@ -82,9 +81,9 @@ def main() -> None:
             shared += len(several)
             once += sum(after[owner] == 1 for owner in several)
             twice += sum(after[owner] > 1 for owner in several)
-            # A true object that views had, and that no label is nearest to any more: it went into another's.
-            mixed += sum(after[owner] == 0 for owner in seen)
-        print(f"{threshold:>5} {shared:>11} {once:>10} {twice:>12} {mixed:>11} {total:>7}")
+            swallowed += sum(after[owner] == 0 for owner in seen)
+        counts = (shared, once, twice, swallowed, total)
+        print(f"{threshold:>5}" + "".join(f"{count:>12}" for count in counts))
 
 
 if __name__ == "__main__":

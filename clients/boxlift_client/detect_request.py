@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from boxlift.camera import Calibration
 from boxlift.errors import ImageError
 from boxlift.formats import prompts as prompt_format
+from boxlift.formats.image import encoded_png
 from boxlift.frame import Prompt
-from boxlift_client.request_parts import BINARY, JSON, PNG, File, Parts, content, png
+from boxlift_client.request_parts import BINARY, JSON, PNG, File, Parts, content
 
 
 def parts_of_image(
@@ -62,4 +63,4 @@ def _texts(prompts_json: str | None, min_score: float | None) -> Parts:
 def _png(image: NDArray[np.uint8]) -> bytes:
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or image.size == 0:
         raise ImageError("image", f"the array is {image.dtype} {image.shape}.", "Give uint8 (H, W, 3), RGB.")
-    return png(image)
+    return encoded_png(image)

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from boxlift.errors import ImageError
 from boxlift.formats import prompts as prompt_format
+from boxlift.formats.image import encoded_png
 from boxlift.frame import Frame, Prompt
 from boxlift.settings import LabellerSettings
-from boxlift_client.request_parts import BINARY, JSON, PNG, TEXT, File, Form, Part, content, png
+from boxlift_client.request_parts import BINARY, JSON, PNG, TEXT, File, Form, Part, content
 
 
 @dataclass(frozen=True)
@@ -66,11 +67,11 @@ def form_of_frame(frame: Frame, settings: LabellerSettings, *, detect: bool = Fa
             raise ImageError(
                 "image", f"frame {frame.name!r} has no image to find objects in.", "Add it, or give prompts."
             )
-        form["image"] = ("image.png", png(frame.image), PNG)
+        form["image"] = ("image.png", encoded_png(frame.image), PNG)
         return form
     form["prompts"] = (None, prompt_format.to_json(frame.prompts).encode(), JSON)
     if frame.instance_ids is not None:
-        form["masks"] = ("masks.png", png(frame.instance_ids.astype(np.uint16)), PNG)
+        form["masks"] = ("masks.png", encoded_png(frame.instance_ids.astype(np.uint16)), PNG)
     return form
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from itertools import groupby
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
@@ -20,35 +20,67 @@ if TYPE_CHECKING:
     from boxlift.storage import AnyPath
 
 
-def read_frames_of(label_set: AnyPath, names: Collection[str] | None = None) -> Iterator[FrameDetails]:
+def read_frames_of(label_set: AnyPath, names: Iterable[str] | None = None) -> Iterator[FrameDetails]:
     """The details of every frame (or of `names`), by name.
 
-    Raises DatasetError where there is no label set or frame, LabelFormatError.
+    Raises DatasetError where there is no label set, LabelFormatError, OSError.
     """
-    folder = label_set / "details"
-    if not folder.is_dir():
-        raise DatasetError(
-            str(label_set), "the folder is no label set.", "Give one that boxlift label or detect wrote."
-        )
-    there = sorted(path.stem for path in folder.glob("*.json"))
-    if names is not None:
-        if missing := sorted(set(names) - set(there)):
+    for name in LabelSetIndex.names_in(label_set) if names is None else names:
+        yield read_details(label_set / "details" / f"{name}.json")
+
+
+def read_sweeps_of(label_set: AnyPath) -> Iterator[SweepLabels]:
+    """The labels of every sweep in its ego frame, what several cameras saw once; log by log.
+
+    Raises as read_frames_of.
+    """
+    for entry in LabelSetIndex(label_set).sweeps:
+        yield sweep_of(label_set, entry.frames)
+
+
+def sweep_of(label_set: AnyPath, frames: Sequence[str]) -> SweepLabels:
+    """The labels of one sweep from those of its frames, merged. Raises LabelFormatError, OSError."""
+    paths = (label_set / "details" / f"{name}.json" for name in frames)
+    return merge_views([sweep_labels_of_details(read_details(path)) for path in paths])
+
+
+@dataclass(frozen=True)
+class SweepEntry:
+    """One sweep and its frames, by name."""
+
+    log: str
+    sweep: str
+    timestamp_ns: int | None
+    frames: tuple[str, ...]
+
+
+class LabelSetIndex:
+    """Which frames are of which sweep. Raises as read_frames_of.
+
+    sweeps: log by log, in the order of their times, else of their names.
+    """
+
+    def __init__(self, label_set: AnyPath) -> None:
+        self.label_set = label_set
+        frames_of: dict[tuple[str, str], list[str]] = {}
+        times: dict[tuple[str, str], int | None] = {}
+        for frame in read_frames_of(label_set):
+            view = frame.view
+            key = ("", frame.frame) if view is None else (view.log, view.sweep)
+            frames_of.setdefault(key, []).append(frame.frame)
+            times.setdefault(key, None if view is None else view.timestamp_ns)
+        entries = [SweepEntry(*key, times[key], tuple(frames)) for key, frames in frames_of.items()]
+        self.sweeps = sorted(entries, key=lambda each: (each.log, each.timestamp_ns or 0, each.sweep))
+
+    @staticmethod
+    def names_in(label_set: AnyPath) -> list[str]:
+        """Names of all frames that have labels. Raises DatasetError where there is no label set."""
+        folder = label_set / "details"
+        if not folder.is_dir():
             raise DatasetError(
-                str(folder), f"frame {missing[0]!r} has no labels ({len(missing)} are missing).", "Label it."
+                str(label_set), "the folder is no label set.", "Give one that boxlift label or detect wrote."
             )
-        there = sorted(names)
-    for name in there:
-        yield read_details(folder / f"{name}.json")
-
-
-def read_sweeps_of(label_set: AnyPath, names: Collection[str] | None = None) -> Iterator[SweepLabels]:
-    """The labels of every sweep in its ego frame, what several cameras saw once. Raises as read_frames_of.
-
-    Names of the views of a sweep begin alike in every layout that has several, so that they come together.
-    """
-    views = map(sweep_labels_of_details, read_frames_of(label_set, names))
-    for _, of_sweep in groupby(views, key=lambda each: (each.log, each.sweep)):
-        yield merge_views(list(of_sweep))
+        return sorted(path.stem for path in folder.glob("*.json"))
 
 
 def read_details(path: AnyPath) -> FrameDetails:

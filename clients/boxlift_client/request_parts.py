@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from boxlift.errors import InputError, MissingExtraError
 
@@ -35,18 +31,6 @@ def content(field: str, source: File) -> bytes:
         return Path(source).read_bytes()
     except OSError as error:
         raise InputError(field, f"{str(source)!r} cannot be read ({error.strerror}).", "Check it.") from None
-
-
-def png(pixels: NDArray[np.unsignedinteger]) -> bytes:
-    """(H, W) or (H, W, 3) -> PNG."""
-    try:
-        from PIL import Image
-    except ModuleNotFoundError:
-        raise MissingExtraError("pillow", "client") from None
-    stream = io.BytesIO()
-    # The fastest compression: masks are few large areas, and images hardly get smaller.
-    Image.fromarray(pixels).save(stream, "PNG", compress_level=1)
-    return stream.getvalue()
 
 
 def packed(form: Form) -> bytes:

@@ -7,10 +7,13 @@ universal-pathlib, which speaks fsspec. Both have the same methods, so that read
 from __future__ import annotations
 
 import os
+import shutil
+import tempfile
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, BinaryIO, TypeAlias
 
 from boxlift.errors import MissingExtraError, OptionsError
 
@@ -68,6 +71,32 @@ def read_whole(path: AnyPath) -> bytes:
     return data
 
 
+@contextmanager
+def writing_whole(path: AnyPath) -> Iterator[BinaryIO]:
+    """A file to be written bit by bit, there when the block ends well: until then readers see the old one.
+
+    In an object store what was written is put as one object. Raises OSError.
+    """
+    if not isinstance(path, Path):
+        with tempfile.TemporaryFile() as file:
+            yield file
+            file.seek(0)
+            with path.open("wb") as there:
+                shutil.copyfileobj(file, there)
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = _beside(path)
+    try:
+        with beside.open("wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+    except BaseException:
+        beside.unlink(missing_ok=True)
+        raise
+
+
 def write_whole(path: AnyPath, data: bytes) -> None:
     """Write a file so that a reader, or a crash, sees the old one or the new one, and nothing between.
 
@@ -76,14 +105,9 @@ def write_whole(path: AnyPath, data: bytes) -> None:
     if not isinstance(path, Path):
         path.write_bytes(data)
         return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.tmp")
-    try:
-        with beside.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise
+    with writing_whole(path) as file:
+        file.write(data)
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.tmp")

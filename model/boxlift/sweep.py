@@ -32,6 +32,24 @@ class SweepView:
 
 
 @dataclass(frozen=True)
+class CameraImage:
+    """What a camera showed: ego_SE3_cam (4, 4) and projection (3, 4) of its rectified image (H, W, 3) RGB."""
+
+    camera: str
+    ego_SE3_cam: Floats
+    image_P_cam: Floats
+    image: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class SweepSensors:
+    """What the labels of a sweep were made from: points_ego (N, 3+) and the images of its cameras."""
+
+    points_ego: NDArray[np.float32]
+    images: tuple[CameraImage, ...]
+
+
+@dataclass(frozen=True)
 class EgoObject:
     """A box in the ego frame.
 

@@ -14,6 +14,7 @@ try:
 except ModuleNotFoundError:
     sys.exit(f"error: {MissingExtraError('typer', 'client')}")
 
+from boxlift_client.cli.convert import convert
 from boxlift_client.cli.demo import demo
 from boxlift_client.cli.detect import detect
 from boxlift_client.cli.evaluate import evaluate
@@ -34,7 +35,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (demo, serve, label, detect, evaluate, show, train, export):
+for command in (demo, serve, label, detect, convert, evaluate, show, train, export):
     app.command()(command)
 app.add_typer(keys, name="keys")
 

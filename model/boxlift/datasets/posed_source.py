@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.camera import Calibration, Floats
-from boxlift.datasets.class_names import boxlift_class
 from boxlift.datasets.plain_folder import decode_rectified, read_instance_ids
 from boxlift.errors import DatasetError
+from boxlift.formats.class_names import boxlift_class
 from boxlift.formats.ego_boxes import objects_in_view
 from boxlift.formats.kitti_label import KittiObject
 from boxlift.frame import Frame, Prompt

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.camera import Floats
-from boxlift.datasets.class_names import boxlift_class
 from boxlift.datasets.posed_source import PosedSource, Shot
 from boxlift.datasets.waymo_range_image import points_of_range_image
 from boxlift.errors import DatasetError, LabelFormatError, NoLidarError
+from boxlift.formats.class_names import boxlift_class
 from boxlift.formats.ego_boxes import LOOKING_AHEAD
 from boxlift.formats.kitti_label import UNKNOWN_ANGLE, UNKNOWN_LOCATION, UNKNOWN_SIZE, KittiObject
 from boxlift.formats.tables import read_table

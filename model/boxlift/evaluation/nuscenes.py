@@ -19,10 +19,10 @@ import numpy as np
 from boxlift.boxes import Boxes3D, wrap_angle
 from boxlift.camera import Floats
 from boxlift.errors import DatasetError
-from boxlift.evaluation.foreign_classes import BICYCLE_RACKS, NUSCENES_CLASSES, nuscenes_class
 from boxlift.evaluation.label_table import Indices, Mask
 from boxlift.evaluation.matching import choose_in_turn
 from boxlift.evaluation.sweep_table import JudgedSweeps, SweepTable, judged_sweeps, sweep_pairs
+from boxlift.formats.class_names import BICYCLE_RACKS, NUSCENES_CLASSES, nuscenes_class
 from boxlift.sweep import SweepLabels
 
 DISTANCES_M = (0.5, 1.0, 2.0, 4.0)  # dist_ths

@@ -18,10 +18,10 @@ import numpy as np
 
 from boxlift.camera import Floats
 from boxlift.errors import OptionsError
-from boxlift.evaluation.foreign_classes import WAYMO_CLASSES, waymo_class
 from boxlift.evaluation.label_table import Indices, Mask
 from boxlift.evaluation.optimal_matching import Matches, match_at_every_cutoff
 from boxlift.evaluation.sweep_table import UNKNOWN_COUNT, JudgedSweeps, SweepTable, judged_sweeps, sweep_pairs
+from boxlift.formats.class_names import WAYMO_CLASSES, waymo_class
 from boxlift.overlap import bev_iou, iou_3d
 from boxlift.sweep import SweepLabels
 

@@ -64,6 +64,14 @@ def decode_image(
         return np.array(image if image.mode == "RGB" else image.convert("RGB"))
 
 
+def encoded_png(pixels: NDArray[np.unsignedinteger]) -> bytes:
+    """(H, W) masks or (H, W, 3) RGB -> a PNG file's bytes. Raises MissingExtraError without Pillow."""
+    buffer = io.BytesIO()
+    # The fastest compression: masks are few large areas, and images hardly get smaller.
+    _pillow().fromarray(pixels).save(buffer, "PNG", compress_level=1)
+    return buffer.getvalue()
+
+
 def resized(image: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.uint8]:
     """(H, W, 3) RGB -> the same image with (width, height) pixels, each averaged over what it covers.
 

@@ -1,4 +1,4 @@
-"""Boxes of a nuScenes results file -> labels of sweeps.
+"""Results files of nuScenes <-> labels of sweeps.
 
 {"meta": ..., "results": {sample token: [box, ...]}}, where a box has "translation" [x, y, z] in the global
 frame, "size" [width, length, height], "rotation" [w, x, y, z], "detection_name", "detection_score" and
@@ -10,14 +10,16 @@ Source: docs of the nuScenes detection task; nuscenes/eval/common/data_classes.p
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from boxlift.camera import Floats
 from boxlift.errors import DatasetError, LabelFormatError
-from boxlift.poses import rotation_of
+from boxlift.formats.class_names import NUSCENES_CLASSES, nuscenes_class
+from boxlift.poses import quaternion_of, rotation_of
 from boxlift.storage import read_whole
 from boxlift.sweep import EgoObject, SweepLabels
 
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from boxlift.storage import AnyPath
 
 _UNKNOWN_POINTS = -1
+_MOST_BOXES = 500
 
 
 class NuscenesBoxes:
@@ -115,3 +118,47 @@ class NuscenesBoxes:
 def _score(box: Mapping[str, Any]) -> float:
     score = float(box.get("detection_score", 1.0))
     return 1.0 if score < 0 else score  # the devkit writes -1 where there is none
+
+
+def results_of(sweeps: Iterable[SweepLabels]) -> tuple[dict[str, Any], Counter[str]]:
+    """Labels of sweeps that are samples -> the content of a results file, and classes that it cannot hold.
+
+    Boxes go to the global frame, by the vehicle's pose; of a sample the 500 with the best scores are kept,
+    as the benchmark asks. Velocities are 0 and attributes empty: boxlift does not know them.
+
+    Raises DatasetError where a sweep has no pose.
+    """
+    results: dict[str, list[dict[str, Any]]] = {}
+    left_out: Counter[str] = Counter()
+    for sweep in sweeps:
+        pose = sweep.world_SE3_ego
+        if pose is None:
+            raise DatasetError(
+                sweep.sweep,
+                "where the vehicle was in this sweep is not known, so that its boxes have no global place.",
+                "Convert a label set of nuScenes, or of a data set with poses.",
+            )
+        boxes: list[dict[str, Any]] = []
+        for each in sorted(sweep.objects, key=lambda item: -item.score):
+            index = nuscenes_class(each.category)
+            if index is None:
+                left_out[each.category] += 1
+            elif len(boxes) < _MOST_BOXES:
+                boxes.append(_result(each, sweep.sweep, pose, NUSCENES_CLASSES[index]))
+        results[sweep.sweep] = boxes
+    meta = dict.fromkeys(("use_radar", "use_map", "use_external"), False)
+    return {"meta": {"use_camera": True, "use_lidar": True, **meta}, "results": results}, left_out
+
+
+def _result(each: EgoObject, token: str, world_SE3_ego: Floats, name: str) -> dict[str, Any]:
+    center = world_SE3_ego[:3, :3] @ each.center_ego + world_SE3_ego[:3, 3]
+    return {
+        "sample_token": token,
+        "translation": center.tolist(),
+        "size": [each.width_m, each.length_m, each.height_m],
+        "rotation": list(quaternion_of(world_SE3_ego[:3, :3] @ each.ego_SO3_object)),
+        "velocity": [0.0, 0.0],
+        "detection_name": name,
+        "detection_score": each.score,
+        "attribute_name": each.attribute or "",
+    }

@@ -1,4 +1,5 @@
-"""What a class is called where, so that labels of one data set can be judged by the rules of another.
+"""What a class is called where: for labels of one data set to be judged by the rules of another, written in
+its format, or taken as prompts.
 
 Sources: docs/labeling_specifications.md of the Waymo Open Dataset (motorcycles and their riders are vehicles,
 trains and trams are not, a bicycle without rider is not labelled); nuscenes/eval/detection/utils.py of the
@@ -61,3 +62,45 @@ def waymo_class(name: str) -> int | None:
 def nuscenes_class(name: str) -> int | None:
     """Index in NUSCENES_CLASSES of what a label calls `name`; None where nuScenes does not judge it."""
     return _NUSCENES_INDEX.get(name.lower())
+
+
+# What boxlift's size priors call the classes of others.
+_BOXLIFT_NAMES: dict[str, tuple[str, ...]] = {
+    # Waymo's vehicles are of all kinds; most are cars.
+    "Car": ("vehicle.car", "regular_vehicle", "vehicle"),
+    "Truck": ("vehicle.truck", "box_truck", "truck_cab", "large_vehicle"),
+    "Bus": ("vehicle.bus.rigid", "vehicle.bus.bendy", "school_bus", "articulated_bus"),
+    "Pedestrian": (
+        *("human.pedestrian.adult", "human.pedestrian.child", "human.pedestrian.construction_worker"),
+        *("human.pedestrian.police_officer", "official_signaler"),
+    ),
+    "Cyclist": ("bicyclist",),
+    "Motorcyclist": (),
+    "Bicycle": ("vehicle.bicycle",),
+    "Motorcycle": ("vehicle.motorcycle",),
+}
+_BOXLIFT_NAME = {name.lower(): own for own, names in _BOXLIFT_NAMES.items() for name in (own, *names)}
+
+_ARGOVERSE2_NAMES = {
+    "car": "REGULAR_VEHICLE",
+    "van": "REGULAR_VEHICLE",
+    "truck": "TRUCK",
+    "bus": "BUS",
+    "pedestrian": "PEDESTRIAN",
+    "person": "PEDESTRIAN",
+    "person_sitting": "PEDESTRIAN",
+    "cyclist": "BICYCLIST",
+    "motorcyclist": "MOTORCYCLIST",
+    "bicycle": "BICYCLE",
+    "motorcycle": "MOTORCYCLE",
+}
+
+
+def boxlift_class(name: str) -> str:
+    """The class of boxlift's that `name` is; else `name`, as one word: a class without a size."""
+    return _BOXLIFT_NAME.get(name.lower(), name.replace(" ", "_"))
+
+
+def argoverse2_class(name: str) -> str:
+    """What Argoverse 2 calls the class; else `name` in its capitals."""
+    return _ARGOVERSE2_NAMES.get(name.lower(), name.upper().replace(" ", "_"))
