@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Literal
 
+from boxlift.datasets import open_source
+from boxlift.datasets.posed_source import PosedSource
 from boxlift.errors import DatasetError, OptionsError
 from boxlift.formats import argoverse2_boxes, kitti_label, tables
 from boxlift.formats.ego_boxes import ego_objects_of_kitti
@@ -15,7 +17,7 @@ from boxlift_client.label_set import read_sweeps_of
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
 
-_Kind = Literal["label set", "Argoverse 2", "nuScenes results", "KITTI"]
+_Kind = Literal["label set", "Argoverse 2", "nuScenes results", "data set", "KITTI"]
 _ANNOTATIONS = "annotations.feather"
 
 
@@ -25,8 +27,9 @@ def read_truth_and_predictions(
     """Labels of both, in one and the same frame.
 
     Each is a label set of boxlift, an Argoverse 2 table (or a folder of logs with annotations.feather), a
-    nuScenes results file, or a folder of KITTI text files, whose camera is taken for the ego frame; a label
-    set beside KITTI files is read from its own. names: sweeps to keep, where not all.
+    nuScenes results file, a data set with 3D annotations of its own, or a folder of KITTI text files, whose
+    camera is taken for the ego frame; a label set beside KITTI files is read from its own. names: sweeps to
+    keep, where not all.
 
     Raises DatasetError where there is nothing such, OptionsError where the frames cannot be the same,
     LabelFormatError for what cannot be read.
@@ -70,12 +73,15 @@ def kind_of(path: AnyPath) -> _Kind:
             return "label set"
         if _tables(path):
             return "Argoverse 2"
+        if _data_set(path) is not None:
+            return "data set"
         if (path / "data").is_dir() or next(iter(path.glob("*.txt")), None) is not None:
             return "KITTI"
     raise DatasetError(
         str(path),
         "there are no labels to judge." if path.exists() else "it is not there.",
-        "Give a label set, an Argoverse 2 table, a nuScenes results file or a folder of KITTI label files.",
+        "Give a label set, an Argoverse 2 table, a nuScenes results file, a data set with annotations, or a "
+        "folder of KITTI label files.",
     )
 
 
@@ -109,6 +115,22 @@ def _read_label_set(path: AnyPath) -> list[SweepLabels]:
     return list(read_sweeps_of(path))
 
 
+def _data_set(path: AnyPath) -> PosedSource | None:
+    """A data set that has 3D annotations."""
+    try:
+        source = open_source(path)
+    except DatasetError:
+        return None
+    return source if isinstance(source, PosedSource) and source.label_names else None
+
+
+def _read_data_set(path: AnyPath) -> list[SweepLabels]:
+    source = _data_set(path)
+    assert source is not None
+    # The first is of 3D boxes where there are several (Waymo's lidar_box before camera_box).
+    return list(source.sweeps(source.label_names[0]))
+
+
 def _read_with_poses(
     gt: AnyPath, pred: AnyPath, kinds: tuple[_Kind, _Kind]
 ) -> tuple[list[SweepLabels], list[SweepLabels]]:
@@ -132,5 +154,6 @@ def _read_with_poses(
 _READERS: dict[_Kind, Callable[[AnyPath], list[SweepLabels]]] = {
     "label set": _read_label_set,
     "Argoverse 2": _read_argoverse2,
+    "data set": _read_data_set,
     "KITTI": _read_kitti,
 }

@@ -286,3 +286,17 @@ def test_the_command(label_set: Path, tmp_path: Path, boxlift: Boxlift) -> None:
     ended = boxlift("convert", label_set, "--to", "argoverse2", "--out", tmp_path / "labels.parquet")
     assert ended.status == 0, ended.err
     assert "boxes of 1 sweeps are in" in ended.out
+
+
+def test_the_data_set_is_the_truth_that_its_labels_are_judged_by(
+    label_set: Path, data_set: Path, tmp_path: Path, boxlift: Boxlift
+) -> None:
+    """The label set itself, and its results file, get the same numbers by nuScenes' rules."""
+    convert(label_set, Format.NUSCENES, tmp_path / "results.json")
+    cars = []
+    for pred in (label_set, tmp_path / "results.json"):
+        judged = boxlift("evaluate", "--metric", "nuscenes", "--gt", data_set, "--pred", pred, "--json")
+        assert judged.status == 0, judged.err
+        cars.append(json.loads(judged.out)["results"]["car"])
+    assert cars[0]["ap"] > 50
+    assert cars[0]["ap"] == pytest.approx(cars[1]["ap"], abs=1e-3)

@@ -19,7 +19,7 @@ def evaluate(
         typer.Option(
             metavar="DIR|FILE",
             help="The truth: a folder of KITTI label files STEM.txt; for waymo and nuscenes also label sets, "
-            "Argoverse 2 tables and nuScenes results files.",
+            "Argoverse 2 tables, nuScenes results files and data sets with 3D annotations.",
             show_default=False,
         ),
     ],
