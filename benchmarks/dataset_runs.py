@@ -1,6 +1,7 @@
 """Runs over whole data sets: pace by workers, what bad frames cost, and memory.
 
     python benchmarks/dataset_runs.py pace [--frames 600] [--repeats 3] [--workers 1 2]
+    python benchmarks/dataset_runs.py engines [--frames 600] [--repeats 3]
     python benchmarks/dataset_runs.py bad [--frames 1000] [--repeats 3]
     python benchmarks/dataset_runs.py memory [--frames 20000]
 
@@ -10,6 +11,7 @@ from disk to label files.
 
 pace: frames a second from the first label file to the last, so that starting workers does not count, and the
 whole run; median of the repeats. Then one worker's time by stage.
+engines: as pace, two processes against two actors of a Ray cluster that is started for the run.
 bad: the same frames with four bad ones among them (a directory instead of points, which raises; a named pipe,
 which hangs; a truncated point cloud; a calibration that is missing), against the run without.
 memory: resident memory of runner and workers over the run; the second half against the first.
@@ -27,7 +29,7 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import psutil
@@ -48,18 +50,29 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=("pace", "bad", "memory"))
+    parser.add_argument("what", choices=("pace", "engines", "bad", "memory"))
     parser.add_argument("--frames", type=int)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     arguments = parser.parse_args()
-    frames = arguments.frames or {"pace": 600, "bad": 1000, "memory": 20_000}[arguments.what]
+    frames = arguments.frames or {"pace": 600, "engines": 600, "bad": 1000, "memory": 20_000}[arguments.what]
     print(f"{platform.machine()}, {len(os.sched_getaffinity(0))} cores; {frames} frames")
     with tempfile.TemporaryDirectory(dir=os.environ.get("BOXLIFT_SCRATCH")) as folder:
         data = Path(folder) / "data"
         _write_frames(data, frames)
         if arguments.what == "pace":
-            _pace(data, Path(folder), frames, arguments.workers, arguments.repeats)
+            arms: dict[str, tuple[object, ...]] = {
+                f"{count} workers": ("--workers", count) for count in arguments.workers
+            }
+            _pace(data, Path(folder), frames, arms, arguments.repeats)
+            _stages(data, Path(folder) / "stages")
+        elif arguments.what == "engines":
+            arms = {"local": ("--workers", 2), "ray": ("--engine", "ray", "--workers", 2)}
+            paces = _pace(data, Path(folder), frames, arms, arguments.repeats)
+            extra_ms = 1000 * (1 / paces["ray"] - 1 / paces["local"])
+            print(
+                f"Ray, against processes: {extra_ms:+.2f} ms a frame of the run, {2 * extra_ms:+.2f} of an actor"
+            )
         elif arguments.what == "bad":
             _bad(data, Path(folder), frames, arguments.repeats)
         else:
@@ -99,22 +112,24 @@ def _label(data: Path, out: Path, *arguments: object, check: bool = True) -> tup
     return (len(written) - 1) / (written[-1] - written[0]), took_s, ran.returncode
 
 
-def _pace(data: Path, scratch: Path, frames: int, workers: Sequence[int], repeats: int) -> None:
-    paces: dict[int, list[float]] = {count: [] for count in workers}
-    wholes: dict[int, list[float]] = {count: [] for count in workers}
+def _pace(
+    data: Path, scratch: Path, frames: int, arms: Mapping[str, Sequence[object]], repeats: int
+) -> dict[str, float]:
+    """Runs with the options of each arm by turns; returns the median pace at work of each."""
+    paces: defaultdict[str, list[float]] = defaultdict(list)
+    wholes: defaultdict[str, list[float]] = defaultdict(list)
     for repeat in range(repeats):
-        for count in workers:
-            out = scratch / f"out-{repeat}-{count}"
-            pace, took_s, _ = _label(data, out, "--workers", count)
-            paces[count].append(pace)
-            wholes[count].append(frames / took_s)
+        for number, (name, options) in enumerate(arms.items()):
+            out = scratch / f"out-{repeat}-{number}"
+            pace, took_s, _ = _label(data, out, *options)
+            paces[name].append(pace)
+            wholes[name].append(frames / took_s)
             shutil.rmtree(out)
-    print("workers  frames/s at work  frames/s of the whole run")
-    for count in workers:
-        print(
-            f"{count:7d}  {statistics.median(paces[count]):16.1f}  {statistics.median(wholes[count]):25.1f}"
-        )
-    _stages(data, scratch / "stages")
+    print("                frames/s at work  frames/s of the whole run")
+    for name in arms:
+        pace, whole = statistics.median(paces[name]), statistics.median(wholes[name])
+        print(f"{name:14}  {pace:16.1f}  {whole:25.1f}")
+    return {name: statistics.median(values) for name, values in paces.items()}
 
 
 def _stages(data: Path, out: Path) -> None:
