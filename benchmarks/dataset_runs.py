@@ -4,6 +4,7 @@
     python benchmarks/dataset_runs.py engines [--frames 600] [--repeats 3]
     python benchmarks/dataset_runs.py bad [--frames 1000] [--repeats 3]
     python benchmarks/dataset_runs.py memory [--frames 20000]
+    python benchmarks/dataset_runs.py ledger [--frames 1000000]
 
 Frames are those of ../shared/kitti/object where it exists, else generated; there are fewer files than frames:
 the same ones come again under other names (hard links). Prompts are label_2. Every run is the command line,
@@ -15,6 +16,8 @@ engines: as pace, two processes against two actors of a Ray cluster that is star
 bad: the same frames with four bad ones among them (a directory instead of points, which raises; a named pipe,
 which hangs; a truncated point cloud; a calibration that is missing), against the run without.
 memory: resident memory of runner and workers over the run; the second half against the first.
+ledger: rows of so many frames in parts of 1,000, as many machines leave them; what a run that finds all done
+takes to read them, and its memory.
 """
 
 from __future__ import annotations
@@ -36,8 +39,8 @@ import psutil
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from boxlift_client.job import FrameStore, LabelJob
-from boxlift_client.ledger import read_ledger
+from boxlift_client.job import FrameReport, FrameStore, LabelJob, Outcome
+from boxlift_client.ledger import LedgerRow, LedgerWriter, read_ledger
 from clients.killed_runs import BOXLIFT, write_many_frames
 from label_http import DEFAULT_FOLDER
 
@@ -50,13 +53,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=("pace", "engines", "bad", "memory"))
+    parser.add_argument("what", choices=("pace", "engines", "bad", "memory", "ledger"))
     parser.add_argument("--frames", type=int)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     arguments = parser.parse_args()
-    frames = arguments.frames or {"pace": 600, "engines": 600, "bad": 1000, "memory": 20_000}[arguments.what]
+    frames = (
+        arguments.frames
+        or {"pace": 600, "engines": 600, "bad": 1000, "memory": 20_000, "ledger": 1_000_000}[arguments.what]
+    )
     print(f"{platform.machine()}, {len(os.sched_getaffinity(0))} cores; {frames} frames")
+    if arguments.what == "ledger":
+        _ledger(frames)
+        return
     with tempfile.TemporaryDirectory(dir=os.environ.get("BOXLIFT_SCRATCH")) as folder:
         data = Path(folder) / "data"
         _write_frames(data, frames)
@@ -224,6 +233,26 @@ def _memory(data: Path, scratch: Path, frames: int) -> None:
     for index, who in ((1, "runner"), (2, "its processes")):
         growth = statistics.mean(s[index] for s in late) / statistics.mean(s[index] for s in early) - 1
         print(f"{who}: second half against first (from a tenth on): {100 * growth:+.1f} %")
+
+
+def _ledger(frames: int) -> None:
+    process = psutil.Process()
+    with tempfile.TemporaryDirectory() as folder:
+        for begin in range(0, frames, 1000):
+            writer = LedgerWriter(Path(folder))
+            for index in range(begin, min(begin + 1000, frames)):
+                done = FrameReport(
+                    f"{index:010d}", Outcome.LABELLED, results=(("FITTED", ""),), digest="0" * 64
+                )
+                writer.add(LedgerRow.of(done, "01234567", 1))
+            writer.flush()
+        before, start = process.memory_info().rss, time.perf_counter()
+        state = read_ledger(Path(folder), "01234567")
+        took_s, grown = time.perf_counter() - start, process.memory_info().rss - before
+        size = sum(path.stat().st_size for path in Path(folder).iterdir())
+    print(
+        f"{len(state.done)} rows, {size / 1e6:.0f} MB on disk: read in {took_s:.1f} s, {grown / 1e6:.0f} MB of memory"
+    )
 
 
 if __name__ == "__main__":
