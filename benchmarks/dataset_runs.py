@@ -79,9 +79,7 @@ def main() -> None:
             arms = {"local": ("--workers", 2), "ray": ("--engine", "ray", "--workers", 2)}
             paces = _pace(data, Path(folder), frames, arms, arguments.repeats)
             extra_ms = 1000 * (1 / paces["ray"] - 1 / paces["local"])
-            print(
-                f"Ray, against processes: {extra_ms:+.2f} ms a frame of the run, {2 * extra_ms:+.2f} of an actor"
-            )
+            print(f"Ray, against processes: {2 * extra_ms:+.2f} ms a frame of an actor")
         elif arguments.what == "bad":
             _bad(data, Path(folder), frames, arguments.repeats)
         else:
@@ -250,9 +248,8 @@ def _ledger(frames: int) -> None:
         state = read_ledger(Path(folder), "01234567")
         took_s, grown = time.perf_counter() - start, process.memory_info().rss - before
         size = sum(path.stat().st_size for path in Path(folder).iterdir())
-    print(
-        f"{len(state.done)} rows, {size / 1e6:.0f} MB on disk: read in {took_s:.1f} s, {grown / 1e6:.0f} MB of memory"
-    )
+    print(f"{len(state.done)} rows, {size / 1e6:.0f} MB on disk: read in {took_s:.1f} s", end="")
+    print(f", {grown / 1e6:.0f} MB of memory")
 
 
 if __name__ == "__main__":

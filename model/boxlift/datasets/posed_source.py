@@ -109,7 +109,7 @@ class PosedSource(ABC):
         """See Source.objects. Classes are boxlift's where it has them; what holds no point is left out."""
         shot = self.shot(name)
         objects = [
-            replace(each, category=boxlift_class(each.category))
+            replace(each, category=boxlift_class(each.category, each.attribute))
             for each in self.ego_objects(labels, name)
             if each.points != 0
         ]

@@ -96,8 +96,13 @@ _ARGOVERSE2_NAMES = {
 }
 
 
-def boxlift_class(name: str) -> str:
-    """The class of boxlift's that `name` is; else `name`, as one word: a class without a size."""
+def boxlift_class(name: str, attribute: str | None = None) -> str:
+    """The class of boxlift's that `name` is; else `name`, as one word: a class without a size.
+
+    attribute: nuScenes'. What is ridden there is a bicycle or motorcycle with a rider in its box.
+    """
+    if attribute == "cycle.with_rider":
+        return "Cyclist"
     return _BOXLIFT_NAME.get(name.lower(), name.replace(" ", "_"))
 
 

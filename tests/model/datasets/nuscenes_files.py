@@ -52,7 +52,10 @@ def write_nuscenes(root: Path, scene: Town, *, points_in_boxes: int = 20) -> Non
         ],
         "sample_data": [_file("d-lidar", "LIDAR_TOP", "c-lidar", "at-sweep", "pcd.bin", (0, 0))],
         "category": [{"token": name, "name": name, "description": ""} for name in set(CATEGORIES.values())],
-        "attribute": [{"token": "a-parked", "name": "vehicle.parked", "description": ""}],
+        "attribute": [
+            {"token": "a-parked", "name": "vehicle.parked", "description": ""},
+            {"token": "a-ridden", "name": "cycle.with_rider", "description": ""},
+        ],
         "visibility": [{"token": "4", "level": "v80-100", "description": ""}],
         "instance": [],
         "sample_annotation": [],
@@ -76,7 +79,8 @@ def write_nuscenes(root: Path, scene: Town, *, points_in_boxes: int = 20) -> Non
         world = WORLD_SE3_EGO @ pose(each.ego_SO3_object, each.center_ego)
         box = _transform(f"box-{number}", world, sample_token=SAMPLE, instance_token=f"i-{number}")
         box |= {"size": [each.width_m, each.length_m, each.height_m], "visibility_token": "4"}
-        box |= {"attribute_tokens": ["a-parked"] if each.category == "Car" else []}
+        attributes = {"Car": ["a-parked"], "Cyclist": ["a-ridden"]}
+        box |= {"attribute_tokens": attributes.get(each.category, [])}
         box |= {"num_lidar_pts": points_in_boxes, "num_radar_pts": 0}
         tables["sample_annotation"].append(box)
         tables["instance"].append({"token": f"i-{number}", "category_token": CATEGORIES[each.category]})

@@ -44,7 +44,7 @@ def test_each_camera_of_a_sample_is_a_frame(root: Path, camera: str) -> None:
 def test_annotations_are_prompts(root: Path, camera: str) -> None:
     found = open_source(root / "v1.0-mini").objects("annotations", f"{SAMPLE}_{CHANNELS[camera]}")
     require_objects(found, pinhole_town().cameras[camera])
-    assert {each.category for each in found} <= {"Car", "Truck", "Pedestrian", "Bicycle"}
+    assert {each.category for each in found} <= {"Car", "Truck", "Pedestrian", "Cyclist"}
 
 
 def test_truth_is_that_of_the_sweep(root: Path) -> None:
