@@ -226,7 +226,8 @@ class Waymo(PosedSource):
         table = read_table(self._path(segment, component), columns, filters)
         if table.num_rows == 0:
             return None
-        values, shape = (table.column(column)[0].as_py() for column in columns)
+        # Flat arrays: as Python lists a range image would take longer than its frame's labels.
+        values, shape = (table.column(column).combine_chunks()[:1].flatten().to_numpy() for column in columns)
         try:
             return np.array(values, dtype=np.float64).reshape(tuple(int(side) for side in shape))
         except ValueError as error:
