@@ -13,7 +13,7 @@ from boxlift.formats import details
 from boxlift.formats.details import FrameDetails
 from boxlift.formats.ego_boxes import sweep_labels_of_details
 from boxlift.merging import merge_views
-from boxlift.storage import read_whole
+from boxlift.storage import is_folder, names_in, read_whole
 from boxlift.sweep import SweepLabels
 
 if TYPE_CHECKING:
@@ -76,11 +76,12 @@ class LabelSetIndex:
     def names_in(label_set: AnyPath) -> list[str]:
         """Names of all frames that have labels. Raises DatasetError where there is no label set."""
         folder = label_set / "details"
-        if not folder.is_dir():
+        if not is_folder(folder):
             raise DatasetError(
                 str(label_set), "the folder is no label set.", "Give one that boxlift label or detect wrote."
             )
-        return sorted(path.stem for path in folder.glob("*.json"))
+        names = (name for name in names_in(folder) if name.endswith(".json") and name[0] != ".")
+        return sorted(name.removesuffix(".json") for name in names)
 
 
 def read_details(path: AnyPath) -> FrameDetails:

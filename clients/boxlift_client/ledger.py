@@ -24,7 +24,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from boxlift.errors import LabelFormatError, MissingExtraError
-from boxlift.storage import read_whole, write_whole
+from boxlift.storage import is_folder, names_in, read_whole, write_whole
 from boxlift_client.errors import RunStoppedError
 from boxlift_client.job import FrameReport, Outcome
 
@@ -164,10 +164,10 @@ def read_rows(folder: AnyPath) -> Iterator[LedgerRow]:
 
 
 def _tables(folder: AnyPath, columns: list[str]) -> Iterator[Any]:
-    if not folder.is_dir():
+    if not is_folder(folder):
         return
     _, parquet = _pyarrow()
-    for name in sorted(path.name for path in folder.iterdir()):
+    for name in sorted(names_in(folder)):
         if name.startswith(".") or not name.endswith(".parquet"):
             continue
         path = folder / name

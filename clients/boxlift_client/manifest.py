@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from boxlift.errors import LabelFormatError, OptionsError
-from boxlift.storage import read_whole, write_whole
+from boxlift.storage import is_folder, read_whole, write_whole
 from boxlift_client.engines import LabellerIdentity
 from boxlift_client.job import LabelJob
 
@@ -128,7 +129,10 @@ def _location(source: AnyPath) -> str:
 
 
 def _holds_files(folder: AnyPath) -> bool:
-    return folder.is_dir() and next(iter(folder.iterdir()), None) is not None
+    """A bucket has no empty folders."""
+    if not isinstance(folder, Path):
+        return is_folder(folder)
+    return folder.is_dir() and next(folder.iterdir(), None) is not None
 
 
 def _differences(there: Manifest, own: Manifest) -> str:

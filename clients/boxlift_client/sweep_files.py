@@ -11,6 +11,7 @@ from boxlift.errors import DatasetError, OptionsError
 from boxlift.formats import argoverse2_boxes, kitti_label, tables
 from boxlift.formats.ego_boxes import ego_objects_of_kitti
 from boxlift.formats.nuscenes_boxes import NuscenesBoxes
+from boxlift.storage import is_folder
 from boxlift.sweep import SweepLabels
 from boxlift_client.label_set import read_sweeps_of
 
@@ -68,14 +69,14 @@ def kind_of(path: AnyPath) -> _Kind:
             return "nuScenes results"
         if path.suffix in tables.SUFFIXES:
             return "Argoverse 2"
-    elif path.is_dir():
-        if (path / "details").is_dir():
+    elif is_folder(path):
+        if is_folder(path / "details"):
             return "label set"
         if _tables(path):
             return "Argoverse 2"
         if _data_set(path) is not None:
             return "data set"
-        if (path / "data").is_dir() or next(iter(path.glob("*.txt")), None) is not None:
+        if is_folder(path / "data") or next(iter(path.glob("*.txt")), None) is not None:
             return "KITTI"
     raise DatasetError(
         str(path),
@@ -86,7 +87,7 @@ def kind_of(path: AnyPath) -> _Kind:
 
 
 def _read_kitti(path: AnyPath) -> list[SweepLabels]:
-    folder = path / "data" if (path / "data").is_dir() else path
+    folder = path / "data" if is_folder(path / "data") else path
     return [
         SweepLabels(name, ego_objects_of_kitti(kitti_label.read_file(folder / f"{name}.txt")))
         for name in sorted(file.stem for file in folder.glob("*.txt"))

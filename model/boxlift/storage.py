@@ -62,11 +62,33 @@ def open_path(name: str) -> AnyPath:
     return path
 
 
+def is_folder(path: AnyPath) -> bool:
+    """Whether there is a folder; in an object store, whether any name begins so.
+
+    There `path.is_dir()` would list all that is in it, a thousand names a request.
+    """
+    if isinstance(path, Path):
+        return path.is_dir()
+    try:
+        return bool(path.fs.info(path.path)["type"] == "directory")
+    except FileNotFoundError:
+        return False
+
+
+def names_in(folder: AnyPath) -> list[str]:
+    """Names of what is in a folder, in no order; in an object store by one listing. Raises OSError."""
+    if isinstance(folder, Path):
+        return os.listdir(folder)  # noqa: PTH208 - a Path for each of a million names takes seconds
+    return [str(name).rstrip("/").rpartition("/")[2] for name in folder.fs.ls(folder.path, detail=False)]
+
+
 def read_whole(path: AnyPath) -> bytes:
     """The bytes of a file; in an object store by one request. Raises OSError."""
     if isinstance(path, Path):
         return path.read_bytes()
-    data = path.fs.cat_file(path.path)
+    # s3fs would ask for the size first, to fetch large files in parts.
+    options = {"max_concurrency": 1} if path.protocol in _S3 else {}
+    data = path.fs.cat_file(path.path, **options)
     assert isinstance(data, bytes)
     return data
 

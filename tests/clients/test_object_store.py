@@ -79,9 +79,14 @@ def test_from_bucket_to_bucket_as_from_folder_to_folder(
             assert [line.split()[0] for line in asked if line.endswith(f"/labels/{file}")] == ["PUT"]
         reads = [line for line in asked if "/kitti/training/" in line and f"/{name}." in line]
         # Points, calibration, image and prompts, each read once; nothing is asked for beside.
-        assert sorted(line.rsplit("/", 2)[1] for line in reads if line.startswith("GET")) == [
+        assert {line.split()[0] for line in reads} == {"GET"}
+        assert sorted(line.rsplit("/", 2)[1] for line in reads) == [
             "calib", "image_2", "label_2", "velodyne"
         ]  # fmt: skip
+    # Of a million frames a listing takes minutes: the runner makes one, workers none.
+    listings = [line for line in asked if "list-type" in line and "max-keys=1" not in line]
+    for part in ("velodyne", "calib", "image_2"):
+        assert sum(f"/{part}/" in line for line in listings) == 1
 
     idle = boxlift("label", there, "--out", out, "--prompts", "label_2")
     assert "3 frames of them before this run." in idle.out

@@ -15,7 +15,7 @@ from boxlift.datasets.frames_file import read_frames
 from boxlift.errors import DatasetError, OptionsError
 from boxlift.formats.size_priors import read_size_priors
 from boxlift.settings import DEFAULT_PRESET, PRESETS, LabellerSettings, preset
-from boxlift.storage import open_path
+from boxlift.storage import is_folder, open_path
 from boxlift_client.cli.detection import DetectorOption, MinScoreOption, with_detection
 from boxlift_client.job import DETECTOR
 from boxlift_client.shard import parse_shard
@@ -217,7 +217,7 @@ def _find_masks(masks: str, source: AnyPath) -> AnyPath:
     from boxlift.datasets import open_source
 
     for folder in (open_source(source).root / masks, open_path(masks)):
-        if folder.is_dir():
+        if is_folder(folder):
             return folder
     raise DatasetError(
         str(masks), f"there is no such folder, neither in {source} nor from here.", "Check the path."

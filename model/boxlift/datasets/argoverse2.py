@@ -28,6 +28,7 @@ from boxlift.errors import CalibrationError, DatasetError, NoLidarError, PointCl
 from boxlift.formats import argoverse2_boxes, image
 from boxlift.formats.tables import read_columns, read_table
 from boxlift.poses import pose, rotation_of
+from boxlift.storage import is_folder
 from boxlift.sweep import EgoObject
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class _Log:
     def cameras(self) -> dict[str, list[int]]:
         """Times of the images, by ring camera."""
         folder = self.folder / "sensors" / "cameras"
-        names = sorted(each.name for each in folder.iterdir()) if folder.is_dir() else []
+        names = sorted(each.name for each in folder.iterdir()) if is_folder(folder) else []
         return {name: _times(folder / name, image.SUFFIXES) for name in names if name.startswith("ring_")}
 
     @cached_property
@@ -179,24 +180,24 @@ class Argoverse2(PosedSource):
 
 def recognise(root: AnyPath) -> Argoverse2 | None:
     """A log, a split of logs, or the folder of the splits."""
-    if not root.is_dir():
+    if not is_folder(root):
         return None
     if _is_log(root):
         return Argoverse2(root, [root])
-    folders = sorted(each for each in root.iterdir() if each.is_dir())
+    folders = sorted(each for each in root.iterdir() if is_folder(each))
     logs = [each for each in folders if _is_log(each)]
     for split in folders if not logs else []:
         if split.name in ("train", "val", "test"):
-            logs += sorted(each for each in split.iterdir() if each.is_dir() and _is_log(each))
+            logs += sorted(each for each in split.iterdir() if is_folder(each) and _is_log(each))
     return Argoverse2(root, logs) if logs else None
 
 
 def _is_log(folder: AnyPath) -> bool:
-    return (folder / "sensors" / "lidar").is_dir() and (folder / "calibration").is_dir()
+    return is_folder(folder / "sensors" / "lidar") and is_folder(folder / "calibration")
 
 
 def _times(folder: AnyPath, suffixes: tuple[str, ...]) -> list[int]:
-    if not folder.is_dir():
+    if not is_folder(folder):
         return []
     return sorted(
         int(each.stem) for each in folder.iterdir() if each.suffix in suffixes and each.stem.isdigit()

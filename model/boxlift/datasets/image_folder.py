@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from boxlift.datasets.folder_files import files_by_stem
 from boxlift.datasets.plain_answers import NoAnnotations
-from boxlift.datasets.plain_folder import files_by_stem
 from boxlift.errors import DatasetError
 from boxlift.formats import calibration, image
 from boxlift.formats.calibration import ParsedCalibration, read_calibration

@@ -8,7 +8,8 @@ from __future__ import annotations
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from boxlift.datasets.plain_folder import PlainFolder
+from boxlift.datasets.plain_folder import PlainFolder, stems_of
+from boxlift.storage import is_folder
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
@@ -25,12 +26,12 @@ class KittiObjectFolder(PlainFolder):
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of all frames, sorted."""
-        return tuple(sorted(self._points.keys() | self._images.keys() | self._calibrations.keys()))
+        return stems_of(self._points, self._images, self._calibrations)
 
 
 def recognise(root: AnyPath) -> KittiObjectFolder | None:
     """A root that holds training/ or testing/; of both, training/ (name ROOT/testing to have the other)."""
     for split in ("training", "testing"):
-        if (root / split / "velodyne").is_dir():
+        if is_folder(root / split / "velodyne"):
             return KittiObjectFolder(root / split)
     return None

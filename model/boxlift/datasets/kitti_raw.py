@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.camera import Calibration, Floats
-from boxlift.datasets.plain_folder import files_by_stem
+from boxlift.datasets.folder_files import files_by_stem
 from boxlift.datasets.posed_source import PosedSource, Shot
 from boxlift.errors import CalibrationError, DatasetError, LabelFormatError, NoLidarError
 from boxlift.formats import image, point_cloud
@@ -30,7 +30,7 @@ from boxlift.formats.calibration import parse_calibration
 from boxlift.formats.oxts import imu_poses
 from boxlift.formats.tracklets import read_tracklets
 from boxlift.poses import inverse, pose
-from boxlift.storage import read_whole
+from boxlift.storage import is_folder, read_whole
 from boxlift.sweep import EgoObject
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ class KittiRaw(PosedSource):
 
 def recognise(root: AnyPath) -> KittiRaw | None:
     """A drive, a day with drives, or a folder with such days. Raises DatasetError for drives as recorded."""
-    if not root.is_dir():
+    if not is_folder(root):
         return None
     candidates = [root, *_folders(root)]
     candidates += [
@@ -193,7 +193,7 @@ def recognise(root: AnyPath) -> KittiRaw | None:
 
 
 def _folders(folder: AnyPath) -> list[AnyPath]:
-    return sorted(each for each in folder.iterdir() if each.is_dir())
+    return sorted(each for each in folder.iterdir() if is_folder(each))
 
 
 def _transform(path: AnyPath) -> Floats:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.camera import Floats
-from boxlift.datasets.plain_folder import files_by_stem
+from boxlift.datasets.folder_files import files_by_stem
 from boxlift.datasets.posed_source import PosedSource, Shot
 from boxlift.errors import DatasetError, NoLidarError
 from boxlift.formats import image, kitti_tracks, point_cloud
@@ -28,7 +28,7 @@ from boxlift.formats.kitti_label import KittiObject
 from boxlift.formats.kitti_tracks import TrackedObject
 from boxlift.formats.oxts import imu_poses
 from boxlift.poses import inverse
-from boxlift.storage import read_whole
+from boxlift.storage import is_folder, read_whole
 from boxlift.sweep import EgoObject
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class KittiTracking(PosedSource):
 
     def __init__(self, root: AnyPath) -> None:
         super().__init__(root)
-        if (root / LABELS).is_dir():
+        if is_folder(root / LABELS):
             self.label_names = (LABELS,)
         # Per source, so that a run does not read a sequence's files for each of its frames.
         self._points = lru_cache(lambda log: files_by_stem(root / "velodyne" / log, (".bin",)))
@@ -145,10 +145,10 @@ class KittiTracking(PosedSource):
 def recognise(root: AnyPath) -> KittiTracking | None:
     """A folder that holds image_02/ with sequences, or a split of that kind (training before testing)."""
     for folder in (root, root / "training", root / "testing"):
-        if (folder / _CAMERA).is_dir() and (folder / "calib").is_dir():
+        if is_folder(folder / _CAMERA) and is_folder(folder / "calib"):
             return KittiTracking(folder)
     return None
 
 
 def _folders(folder: AnyPath) -> list[AnyPath]:
-    return [each for each in folder.iterdir() if each.is_dir()] if folder.is_dir() else []
+    return [each for each in folder.iterdir() if is_folder(each)] if is_folder(folder) else []

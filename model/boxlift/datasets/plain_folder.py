@@ -11,22 +11,30 @@ order above is taken.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from boxlift.datasets.folder_files import FolderFiles
 from boxlift.datasets.plain_answers import NoAnnotations
-from boxlift.errors import DatasetError, NoLidarError
+from boxlift.errors import (
+    CalibrationError,
+    DatasetError,
+    ImageError,
+    InputError,
+    NoLidarError,
+    PointCloudError,
+)
 from boxlift.formats import calibration, image, point_cloud
 from boxlift.formats.calibration import ParsedCalibration
 from boxlift.frame import Frame, Prompt
 from boxlift.lens import Lens
+from boxlift.storage import is_folder
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from boxlift.storage import AnyPath
 
 
@@ -37,11 +45,14 @@ class PlainFolder(NoAnnotations):
 
     def __init__(self, root: AnyPath) -> None:
         self.root = root
+        self._points = FolderFiles(root / "velodyne", point_cloud.SUFFIXES)
+        self._images = FolderFiles(root / "image_2", image.SUFFIXES)
+        self._calibrations = FolderFiles(root / "calib", calibration.SUFFIXES)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of all frames, sorted: every stem that has points or an image."""
-        return tuple(sorted(self._points.keys() | self._images.keys()))
+        return stems_of(self._points, self._images)
 
     def load(
         self,
@@ -52,40 +63,33 @@ class PlainFolder(NoAnnotations):
         with_image: bool = False,
     ) -> Frame:
         """See FrameSource.load."""
-        if name not in self.names:
-            raise DatasetError(str(self.root), f"there is no frame {name!r}.", "See its velodyne/ for names.")
-        if name not in self._points:
+        points = self._read(self._points, name, PointCloudError)
+        if points is None:
+            if name not in self.names:
+                raise DatasetError(
+                    str(self.root), f"there is no frame {name!r}.", "See its velodyne/ for names."
+                )
             raise NoLidarError(
                 str(self.root / "velodyne"),
                 f"frame {name!r} has no LiDAR points.",
                 f"Add {name} with one of the suffixes {' '.join(point_cloud.SUFFIXES)}, or skip the frame.",
             )
         parsed = self._calibration(name)
-        image_path = self._images.get(name)
         # Read once, for its size and its pixels: in an object store each read is a request.
-        encoded = None if image_path is None else image.read_image(image_path)
+        picture = self._read(self._images, name, ImageError)
+        points_path, points_data = points
         return Frame(
             name=name,
-            points_velo=point_cloud.read_points(self._points[name]).points,
+            points_velo=point_cloud.decode_points(points_data, points_path.name, str(points_path)).points,
             calibration=parsed.calibration,
-            image_size_px=self._image_size(name, encoded, parsed),
+            image_size_px=self._image_size(name, picture, parsed),
             prompts=prompts,
-            image=decode_rectified(encoded, str(image_path), parsed.lens) if with_image and encoded else None,
+            image=decode_rectified(picture[1], str(picture[0]), parsed.lens)
+            if with_image and picture is not None
+            else None,
             instance_ids=None if masks is None else read_instance_ids(masks, name, parsed.lens),
             lens=parsed.lens,
         )
-
-    @cached_property
-    def _points(self) -> dict[str, AnyPath]:
-        return files_by_stem(self.root / "velodyne", point_cloud.SUFFIXES)
-
-    @cached_property
-    def _images(self) -> dict[str, AnyPath]:
-        return files_by_stem(self.root / "image_2", image.SUFFIXES)
-
-    @cached_property
-    def _calibrations(self) -> dict[str, AnyPath]:
-        return files_by_stem(self.root / "calib", calibration.SUFFIXES)
 
     @cached_property
     def _calibration_for_all(self) -> ParsedCalibration | None:
@@ -94,9 +98,14 @@ class PlainFolder(NoAnnotations):
             (calibration.read_calibration(path, with_lens=True) for path in paths if path.is_file()), None
         )
 
+    @cached_property
+    def _has_calibrations(self) -> bool:
+        return is_folder(self._calibrations.folder)
+
     def _calibration(self, name: str) -> ParsedCalibration:
-        if name in self._calibrations:
-            return calibration.read_calibration(self._calibrations[name], with_lens=True)
+        found = self._read(self._calibrations, name, CalibrationError) if self._has_calibrations else None
+        if found is not None:
+            return calibration.parse_calibration(found[1], str(found[0]), with_lens=True)
         if self._calibration_for_all is not None:
             return self._calibration_for_all
         raise DatasetError(
@@ -105,8 +114,22 @@ class PlainFolder(NoAnnotations):
             f"Add calib/{name}.txt or calib/{name}.json, or one calib.txt for all frames.",
         )
 
-    def _image_size(self, name: str, encoded: bytes | None, parsed: ParsedCalibration) -> tuple[int, int]:
-        if encoded is None:
+    def _read(
+        self, files: FolderFiles, name: str, error_type: type[InputError]
+    ) -> tuple[AnyPath, bytes] | None:
+        try:
+            return files.read(name)
+        except OSError as error:
+            raise error_type(
+                str(error.filename or files.folder / name),
+                f"the file cannot be read ({error.strerror or error}).",
+                "Check the path.",
+            ) from None
+
+    def _image_size(
+        self, name: str, picture: tuple[AnyPath, bytes] | None, parsed: ParsedCalibration
+    ) -> tuple[int, int]:
+        if picture is None:
             if parsed.image_size_px is None:
                 raise DatasetError(
                     str(self.root / "image_2"),
@@ -114,11 +137,11 @@ class PlainFolder(NoAnnotations):
                     'Add its image, or a calibration as JSON with "image_size": [width, height].',
                 )
             return parsed.image_size_px
-        path = str(self._images[name])
-        size = image.image_size(encoded, path)
+        path, encoded = picture
+        size = image.image_size(encoded, str(path))
         if parsed.image_size_px not in (None, size):
             raise DatasetError(
-                path,
+                str(path),
                 f"the image (width, height) is {size}, its calibration says {parsed.image_size_px}.",
                 "Give the calibration of this image.",
             )
@@ -127,22 +150,14 @@ class PlainFolder(NoAnnotations):
 
 def recognise(root: AnyPath) -> PlainFolder | None:
     """A folder that holds velodyne/ (and calib/)."""
-    return PlainFolder(root) if (root / "velodyne").is_dir() else None
+    return PlainFolder(root) if is_folder(root / "velodyne") else None
 
 
-@overload
-def files_by_stem(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]: ...
-@overload
-def files_by_stem(folder: AnyPath, suffixes: tuple[str, ...]) -> dict[str, AnyPath]: ...
-def files_by_stem(folder: Any, suffixes: tuple[str, ...]) -> Any:
-    """Files with one of the suffixes by stem; the earlier suffix wins. Hidden files are none."""
-    if not folder.is_dir():
-        return {}
-    found: dict[str, Any] = {}
-    paths = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.name[0] != "."]
-    for path in sorted(paths, key=lambda path: (suffixes.index(path.suffix.lower()), path.name)):
-        found.setdefault(path.stem, path)
-    return found
+def stems_of(*kinds: FolderFiles) -> tuple[str, ...]:
+    """Every stem that has a file of any of the kinds, sorted; the folders are listed at the same time."""
+    with ThreadPoolExecutor(len(kinds)) as threads:
+        listed = list(threads.map(lambda files: files.by_stem.keys(), kinds))
+    return tuple(sorted(frozenset().union(*listed)))
 
 
 def decode_rectified(encoded: bytes, field: str, lens: Lens | None) -> NDArray[np.uint8]:

@@ -10,7 +10,7 @@ from boxlift.errors import DatasetError
 from boxlift.formats import kitti_label
 from boxlift.formats.kitti_label import KittiObject
 from boxlift.frame import Frame, Prompt
-from boxlift.storage import open_path
+from boxlift.storage import is_folder, open_path
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
@@ -82,7 +82,7 @@ def open_source(root: AnyPath) -> FrameSource:
     for layout in _LAYOUTS:
         if (source := import_module(f"boxlift.datasets.{layout}").recognise(root)) is not None:
             return cast(FrameSource, source)
-    found = sorted(path.name for path in root.iterdir())[:8] if root.is_dir() else ["a file"]
+    found = sorted(path.name for path in root.iterdir())[:8] if is_folder(root) else ["a file"]
     raise DatasetError(
         str(root),
         f"the folder is no dataset (it holds {', '.join(found) or 'nothing'}).",
@@ -98,7 +98,7 @@ def find_labels(labels: str | AnyPath, source: Source) -> AnyPath:
     if not isinstance(labels, str):
         return labels
     for folder in (source.root / labels, open_path(labels)):
-        if folder.is_dir():
+        if is_folder(folder):
             return folder
     raise DatasetError(
         str(labels),

@@ -30,6 +30,7 @@ from boxlift.formats.kitti_label import UNKNOWN_ANGLE, UNKNOWN_LOCATION, UNKNOWN
 from boxlift.formats.tables import read_table
 from boxlift.lens import Lens
 from boxlift.poses import about_z
+from boxlift.storage import is_folder
 from boxlift.sweep import EgoObject
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ class Waymo(PosedSource):
             if path.suffix == ".parquet"
         }
         boxes = (LIDAR_BOX, CAMERA_BOX)
-        self.label_names = tuple(each for each in boxes if any((split / each).is_dir() for split in splits))
+        self.label_names = tuple(each for each in boxes if any(is_folder(split / each) for split in splits))
         kept = lru_cache(maxsize=_SEGMENTS_KEPT)
         self._frames = kept(self._read_frames)
         self._cameras = kept(lambda segment: self._by_key(segment, "camera_calibration", _CAMERA))
@@ -259,7 +260,7 @@ class Waymo(PosedSource):
 def recognise(root: AnyPath) -> Waymo | None:
     """A split, or the folder of the splits: told by lidar/ with Parquet files beside camera_image/."""
     candidates = [root, *(root / split for split in _SPLITS)]
-    splits = [each for each in candidates if (each / "lidar").is_dir() and (each / "camera_image").is_dir()]
+    splits = [each for each in candidates if is_folder(each / "lidar") and is_folder(each / "camera_image")]
     return Waymo(root, splits) if splits else None
 
 

@@ -11,6 +11,7 @@ from boxlift.evaluation.label_table import read_table
 from boxlift.evaluation.pseudo_labels import judge_pseudo_labels
 from boxlift.evaluation.results import Evaluation
 from boxlift.evaluation.rules import BENCHMARK_CLASSES, CLASS_RULES, rules_of
+from boxlift.storage import is_folder
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
@@ -35,7 +36,7 @@ def evaluate_folders(
     for category in (*classes, *pseudo_label_classes):
         rules_of(category)
     for folder in (gt_dir, pred_dir):
-        if not folder.is_dir():
+        if not is_folder(folder):
             raise DatasetError(str(folder), "the folder is not there.", "Give a folder of KITTI label files.")
     names = sorted(path.stem for path in gt_dir.glob("*.txt")) if frames is None else list(frames)
     if not names:
@@ -43,7 +44,7 @@ def evaluate_folders(
 
     truths = read_table(gt_dir, names)
     data_dir = pred_dir / "data"  # where the development kit, and `boxlift label`, put the files
-    predictions = read_table(data_dir if data_dir.is_dir() else pred_dir, names)
+    predictions = read_table(data_dir if is_folder(data_dir) else pred_dir, names)
     benchmark = KittiBenchmark(truths, predictions)
     return Evaluation(
         frame_count=len(names),
