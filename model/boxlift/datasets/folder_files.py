@@ -24,11 +24,13 @@ def files_by_stem(folder: Any, suffixes: tuple[str, ...]) -> Any:
     """Files with one of the suffixes by stem; the earlier suffix wins. Hidden files are none."""
     if not is_folder(folder):
         return {}
+    rank = {suffix: number for number, suffix in enumerate(suffixes)}
+    kept = []
+    for name in names_in(folder):
+        stem, _, end = name.rpartition(".")
+        if stem and name[0] != "." and f".{end.lower()}" in rank:
+            kept.append((rank[f".{end.lower()}"], name, stem))
     found: dict[str, Any] = {}
-    splits = [(*os.path.splitext(name), name) for name in names_in(folder) if name[:1] != "."]
-    kept = [
-        (suffixes.index(end.lower()), name, stem) for stem, end, name in splits if end.lower() in suffixes
-    ]
     for _, name, stem in sorted(kept):
         found.setdefault(stem, folder / name)
     return found
