@@ -55,6 +55,10 @@ bench: $(READY)
 	$(BIN)/python benchmarks/peer.py
 	$(BIN)/python benchmarks/micro_batches.py
 	$(BIN)/python benchmarks/dashboard.py
+	$(BIN)/python benchmarks/merging.py
+	$(BIN)/python benchmarks/kills.py --frames 900
+	$(BIN)/python benchmarks/kills.py --engine ray --frames 900
+	for what in pace engines bad memory ledger listing; do $(BIN)/python benchmarks/dataset_runs.py $$what || exit 1; done
 	$(BIN)/python benchmarks/fuzz_decoders.py
 	$(BIN)/python benchmarks/fuzz_decoders.py --large
 	$(BIN)/python benchmarks/fuzz_api.py

@@ -5,6 +5,7 @@
     python benchmarks/dataset_runs.py bad [--frames 1000] [--repeats 3]
     python benchmarks/dataset_runs.py memory [--frames 20000]
     python benchmarks/dataset_runs.py ledger [--frames 1000000]
+    python benchmarks/dataset_runs.py listing [--frames 100000]
 
 Frames are those of ../shared/kitti/object where it exists, else generated; there are fewer files than frames:
 the same ones come again under other names (hard links). Prompts are label_2. Every run is the command line,
@@ -18,6 +19,7 @@ which hangs; a truncated point cloud; a calibration that is missing), against th
 memory: resident memory of runner and workers over the run; the second half against the first.
 ledger: rows of so many frames in parts of 1,000, as many machines leave them; what a run that finds all done
 takes to read them, and its memory.
+listing: names of a data set in KITTI object layout whose files are empty.
 """
 
 from __future__ import annotations
@@ -39,11 +41,16 @@ import psutil
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
+from boxlift.datasets import open_source
 from boxlift_client.job import FrameReport, FrameStore, LabelJob, Outcome
 from boxlift_client.ledger import LedgerRow, LedgerWriter, read_ledger
 from clients.killed_runs import BOXLIFT, write_many_frames
 from label_http import DEFAULT_FOLDER
 
+_FRAMES = {
+    **{"pace": 600, "engines": 600, "bad": 1000, "memory": 20_000},
+    **{"ledger": 1_000_000, "listing": 100_000},
+}
 _SCENES = 40
 _PARTS = ("velodyne", "image_2", "calib", "label_2")
 
@@ -53,18 +60,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=("pace", "engines", "bad", "memory", "ledger"))
+    parser.add_argument("what", choices=tuple(_FRAMES))
     parser.add_argument("--frames", type=int)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     arguments = parser.parse_args()
-    frames = (
-        arguments.frames
-        or {"pace": 600, "engines": 600, "bad": 1000, "memory": 20_000, "ledger": 1_000_000}[arguments.what]
-    )
+    frames = arguments.frames or _FRAMES[arguments.what]
     print(f"{platform.machine()}, {len(os.sched_getaffinity(0))} cores; {frames} frames")
-    if arguments.what == "ledger":
-        _ledger(frames)
+    if arguments.what in ("ledger", "listing"):
+        (_ledger if arguments.what == "ledger" else _listing)(frames)
         return
     with tempfile.TemporaryDirectory(dir=os.environ.get("BOXLIFT_SCRATCH")) as folder:
         data = Path(folder) / "data"
@@ -250,6 +254,17 @@ def _ledger(frames: int) -> None:
         size = sum(path.stat().st_size for path in Path(folder).iterdir())
     print(f"{len(state.done)} rows, {size / 1e6:.0f} MB on disk: read in {took_s:.1f} s", end="")
     print(f", {grown / 1e6:.0f} MB of memory")
+
+
+def _listing(frames: int) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        for part, suffix in (("velodyne", ".bin"), ("calib", ".txt"), ("image_2", ".png")):
+            (Path(folder) / "training" / part).mkdir(parents=True)
+            for index in range(frames):
+                (Path(folder) / "training" / part / f"{index:08d}{suffix}").touch()
+        start = time.perf_counter()
+        names = open_source(Path(folder)).names
+        print(f"{len(names)} names in {time.perf_counter() - start:.1f} s")
 
 
 if __name__ == "__main__":

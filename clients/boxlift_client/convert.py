@@ -28,9 +28,9 @@ from boxlift.formats import (
 )
 from boxlift.formats.details import kitti_object_of
 from boxlift.formats.supervisely import SuperviselyProject
-from boxlift.poses import inverse
 from boxlift.storage import write_whole
 from boxlift.sweep import CameraImage, SweepLabels, SweepSensors
+from boxlift_client.job import view_of
 from boxlift_client.label_set import LabelSetIndex, read_frames_of, sweep_of
 
 if TYPE_CHECKING:
@@ -51,13 +51,12 @@ class Format(StrEnum):
 
 @dataclass
 class Converted:
-    """How much was written: frames or sweeps, files of labels, boxes; classes that the format cannot hold.
+    """How much was written: frames or sweeps, and boxes; left_out: of classes that the format cannot hold.
 
     without_sensors: sweeps whose points or images could not be read from the source, which cost no label.
     """
 
     units: int = 0
-    files: int = 0
     boxes: int = 0
     left_out: Counter[str] = field(default_factory=Counter)
     without_sensors: int = 0
@@ -82,7 +81,7 @@ def convert(
     label set, OptionsError where `out` does not suit the format, LabelFormatError, MissingExtraError and
     OSError.
     """
-    _require_fitting(to, out, source)
+    _require_fitting(label_set, to, out, source)
     if to is Format.KITTI:
         return _to_kitti(label_set, out, min_score, on_progress)
     index = LabelSetIndex(label_set)
@@ -104,14 +103,13 @@ class _Sensors:
         try:
             for name in frames:
                 frame = self._source.load(name, with_image=True)
-                cam_SE3_velo = frame.calibration.cam_SE3_velo
-                mount = inverse(cam_SE3_velo) if frame.view is None else frame.view.ego_SE3_cam
-                ego_SE3_velo = mount @ cam_SE3_velo
+                view = view_of(frame)
+                ego_SE3_velo = view.ego_SE3_cam @ frame.calibration.cam_SE3_velo
                 xyz = frame.points_velo[:, :3] @ ego_SE3_velo[:3, :3].T + ego_SE3_velo[:3, 3]
                 points = xyz.astype(np.float32)
-                camera = "image_2" if frame.view is None else frame.view.camera
                 if frame.image is not None:
-                    images.append(CameraImage(camera, mount, frame.calibration.image_P_cam, frame.image))
+                    image_P_cam = frame.calibration.image_P_cam
+                    images.append(CameraImage(view.camera, view.ego_SE3_cam, image_P_cam, frame.image))
         except InputError:
             return None
         return None if points is None else SweepSensors(points, tuple(images))
@@ -146,34 +144,31 @@ class _Conversion:
 def _to_kitti(label_set: AnyPath, out: AnyPath, min_score: float, on_progress: OnProgress) -> Converted:
     """label_2 files as the training of detectors reads them: 15 columns, without scores."""
     done = Converted()
-    frames = list(LabelSetIndex.names_in(label_set))
+    frames = LabelSetIndex.names_in(label_set)
     for details in read_frames_of(label_set, frames):
         kept = [each.kitti for each in details.objects if each.kitti and each.score >= min_score]
         lines = [kitti_object_of(each) for each in kept]
         text = kitti_label.to_text(replace(line, score=None) for line in lines)
         write_whole(out / f"{details.frame}.txt", text.encode())
-        done.units, done.files, done.boxes = done.units + 1, done.files + 1, done.boxes + len(lines)
+        done.units, done.boxes = done.units + 1, done.boxes + len(lines)
         on_progress(done.units, len(frames))
     return done
 
 
 def _to_argoverse2(conversion: _Conversion, out: AnyPath) -> None:
     conversion.done.boxes = argoverse2_boxes.write_boxes(conversion.sweeps(), out)
-    conversion.done.files = 1
 
 
 def _to_nuscenes(conversion: _Conversion, out: AnyPath) -> None:
     results, conversion.done.left_out = nuscenes_boxes.results_of(conversion.sweeps())
     conversion.done.boxes = sum(len(boxes) for boxes in results["results"].values())
     write_whole(out, json.dumps(results).encode())
-    conversion.done.files = 1
 
 
 def _to_openlabel(conversion: _Conversion, out: AnyPath) -> None:
     for name, sweeps in groupby(conversion.sweeps(), key=lambda labels: labels.log or labels.sweep):
         of_log = list(sweeps)
         write_whole(out / f"{name}.json", openlabel.openlabel_json(of_log).encode())
-        conversion.done.files += 1
         conversion.done.boxes += sum(len(each.objects) for each in of_log)
 
 
@@ -183,7 +178,6 @@ def _to_supervisely(conversion: _Conversion, out: AnyPath) -> None:
         # Names of sweeps may be alike in two logs.
         name = labels.sweep if labels.sweep.startswith(labels.log) else f"{labels.log}_{labels.sweep}"
         project.add(name, labels, sensors)
-        conversion.done.files += 1
         conversion.done.boxes += len(labels.objects)
     project.finish()
 
@@ -191,14 +185,12 @@ def _to_supervisely(conversion: _Conversion, out: AnyPath) -> None:
 def _to_mcap(conversion: _Conversion, out: AnyPath) -> None:
     for log, sweeps in groupby(conversion.with_sensors(), key=lambda pair: pair[0].log):
         conversion.done.boxes += mcap_scene.write_scene(sweeps, out / f"{log or 'labels'}.mcap")
-        conversion.done.files += 1
 
 
 def _to_rerun(conversion: _Conversion, out: AnyPath) -> None:
     for log, sweeps in groupby(conversion.with_sensors(), key=lambda pair: pair[0].log):
         path = out / f"{log or 'labels'}.rrd"
         conversion.done.boxes += rerun_recording.write_recording(sweeps, path, log or "labels")
-        conversion.done.files += 1
 
 
 _WRITERS: dict[Format, Callable[[_Conversion, AnyPath], None]] = {
@@ -214,7 +206,7 @@ _SUFFIXES = {Format.ARGOVERSE2: (".parquet", ".feather"), Format.NUSCENES: (".js
 _HOLD_SENSORS = (Format.SUPERVISELY, Format.MCAP, Format.RERUN)
 
 
-def _require_fitting(to: Format, out: AnyPath, source: AnyPath | None) -> None:
+def _require_fitting(label_set: AnyPath, to: Format, out: AnyPath, source: AnyPath | None) -> None:
     suffixes = _SUFFIXES.get(to)
     if suffixes is not None and out.suffix not in suffixes:
         raise OptionsError(
@@ -224,3 +216,5 @@ def _require_fitting(to: Format, out: AnyPath, source: AnyPath | None) -> None:
         raise OptionsError("out", f"{str(out)!r} is a file.", f"Give a folder: {to} is several files.")
     if source is not None and to not in _HOLD_SENSORS:
         raise OptionsError("source", f"{to} holds no points and no images.", "Leave --source out.")
+    if out in (label_set, label_set / "data", label_set / "details"):
+        raise OptionsError("out", f"{str(out)!r} is the label set's own.", "Give a folder beside it.")

@@ -10,12 +10,11 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from boxlift.datasets import FrameSource, find_labels, load_prompts, open_source
 from boxlift.errors import BoxliftError, DatasetError, MissingExtraError, NoLidarError
 from boxlift.formats.details import FrameDetails, details_of, view_details_of
 from boxlift.frame import Frame, FrameLabels, Prompt, Result
+from boxlift.poses import inverse
 from boxlift.settings import ACCURATE, LabellerSettings
 from boxlift.sweep import SweepView
 from boxlift_client.label_files import write_label_files
@@ -156,7 +155,7 @@ class FrameStore:
     def finish(self, loaded: LoadedFrame, details: FrameDetails, seconds: float) -> FrameReport:
         """Write the files of a frame. Raises OSError where they cannot be written."""
         if loaded.frame is not None:
-            details = details.model_copy(update={"view": view_details_of(_view(loaded.frame))})
+            details = details.model_copy(update={"view": view_details_of(view_of(loaded.frame))})
         digest = write_label_files(self._job.out, loaded.name, details)
         outcome = Outcome.LABELLED if loaded.frame else Outcome.SKIPPED
         return report_of(loaded.name, outcome, loaded.sentence, details, digest, seconds)
@@ -199,12 +198,6 @@ class FrameWorker:
             return report_of_failure(name, error, perf_counter() - start)
 
 
-def _view(frame: Frame) -> SweepView:
+def view_of(frame: Frame) -> SweepView:
     """The frame's own; where it has none, its LiDAR frame is the ego frame and its camera the only one."""
-    if frame.view is not None:
-        return frame.view
-    rotation, translation = frame.calibration.cam_SE3_velo[:3, :3], frame.calibration.cam_SE3_velo[:3, 3]
-    velo_SE3_cam = np.eye(4)
-    velo_SE3_cam[:3, :3] = rotation.T
-    velo_SE3_cam[:3, 3] = -rotation.T @ translation
-    return SweepView(frame.name, ONLY_CAMERA, velo_SE3_cam)
+    return frame.view or SweepView(frame.name, ONLY_CAMERA, inverse(frame.calibration.cam_SE3_velo))

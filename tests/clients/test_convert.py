@@ -171,7 +171,7 @@ def test_mcap(label_set: Path, data_set: Path, sweep: SweepLabels, tmp_path: Pat
     from mcap_protobuf.decoder import DecoderFactory
 
     done = convert(label_set, Format.MCAP, tmp_path, source=data_set)
-    assert (done.files, done.boxes) == (1, len(sweep.objects))
+    assert (done.units, done.boxes) == (1, len(sweep.objects))
     path = tmp_path / "scene-0061.mcap"
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -231,7 +231,7 @@ def test_a_source_that_lost_files_costs_no_label(label_set: Path, tmp_path: Path
     write_nuscenes(root, pinhole_town())
     next((root / "samples" / "LIDAR_TOP").iterdir()).unlink()
     done = convert(label_set, Format.MCAP, tmp_path / "out", source=root)
-    assert (done.without_sensors, done.files) == (1, 1)
+    assert (done.without_sensors, done.units) == (1, 1)
     assert done.boxes > 0
 
 
@@ -251,6 +251,7 @@ def test_classes_that_nuscenes_lacks_are_told(label_set: Path, tmp_path: Path) -
         (lambda there: (there, Format.ARGOVERSE2, there / "x.csv"), OptionsError, r"\.parquet or \.feather"),
         (lambda there: (there, Format.NUSCENES, there / "x"), OptionsError, r"\.json"),
         (lambda there: (there, Format.MCAP, there / "manifest.json"), OptionsError, "is a file"),
+        (lambda there: (there, Format.KITTI, there / "data"), OptionsError, "own"),
         (lambda there: (there / "data", Format.MCAP, there / "x"), DatasetError, "no label set"),
     ],
 )

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.camera import Floats
+from boxlift.datasets.folder_files import FolderFiles
 from boxlift.datasets.posed_source import ANNOTATIONS, PosedSource, Shot
 from boxlift.errors import CalibrationError, DatasetError, NoLidarError, PointCloudError
 from boxlift.formats import argoverse2_boxes, image
@@ -144,10 +145,10 @@ class Argoverse2(PosedSource):
         """See PosedSource."""
         log, _, camera, taken = self._find(name)
         folder = log.folder / "sensors" / "cameras" / camera
-        found = [path for suffix in image.SUFFIXES if (path := folder / f"{taken}{suffix}").is_file()]
-        if not found:
+        found = FolderFiles(folder, image.SUFFIXES).read(str(taken))
+        if found is None:
             raise DatasetError(str(folder), f"there is no image {taken}.", "Add it.")
-        return image.read_image(found[0]), str(found[0])
+        return found[1], str(found[0])
 
     def ego_objects(self, labels: str, name: str) -> tuple[EgoObject, ...]:
         """See PosedSource."""
@@ -157,9 +158,10 @@ class Argoverse2(PosedSource):
         return log.annotations.get(sweep, ())
 
     def _read_points(self, path: AnyPath) -> NDArray[np.float32]:
-        if not path.is_file():
-            raise NoLidarError(str(path), "the sweep is not there.", "Add it, or skip the frame.")
-        table = read_table(path, ("x", "y", "z"))
+        try:
+            table = read_table(path, ("x", "y", "z"))
+        except FileNotFoundError:
+            raise NoLidarError(str(path), "the sweep is not there.", "Add it, or skip the frame.") from None
         points: NDArray[np.float32] = np.column_stack(
             [table.column(axis).to_numpy().astype(np.float32) for axis in "xyz"]
         )

@@ -24,7 +24,7 @@ from boxlift.datasets.posed_source import ANNOTATIONS, PosedSource, Shot
 from boxlift.errors import DatasetError, NoLidarError, PointCloudError
 from boxlift.formats import image
 from boxlift.poses import inverse, rotation_of
-from boxlift.storage import read_whole
+from boxlift.storage import read_input
 from boxlift.sweep import EgoObject
 
 if TYPE_CHECKING:
@@ -144,12 +144,7 @@ def read_sweep_file(path: AnyPath, columns: int) -> NDArray[np.float32]:
 
     Raises PointCloudError.
     """
-    try:
-        data = read_whole(path)
-    except OSError as error:
-        raise PointCloudError(
-            str(path), f"the file cannot be read ({error.strerror}).", "Check the path."
-        ) from None
+    data = read_input(path, PointCloudError)
     if len(data) % (4 * columns) or not data:
         raise PointCloudError(
             str(path),

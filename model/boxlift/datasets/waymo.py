@@ -184,11 +184,11 @@ class Waymo(PosedSource):
             )
         return self._boxes(segment, component)
 
-    def _read_frames(self, segment: str) -> list[tuple[int, str]]:
+    def _read_frames(self, segment: str) -> set[tuple[int, str]]:
         """(time, camera) of every image."""
         table = read_table(self._path(segment, "camera_image"), (_TIME, _CAMERA)).to_pydict()
         keys = zip(table[_TIME], table[_CAMERA], strict=True)
-        return [(int(time), CAMERAS[int(number)]) for time, number in keys if int(number) in CAMERAS]
+        return {(int(time), CAMERAS[int(number)]) for time, number in keys if int(number) in CAMERAS}
 
     def _read_poses_at_image(self, segment: str) -> dict[tuple[int, int], Floats]:
         column = "[CameraImageComponent].pose.transform"

@@ -26,7 +26,7 @@ from boxlift.errors import CalibrationError, member
 from boxlift.formats import archives
 from boxlift.formats.json_text import finite_number, parse_json
 from boxlift.lens import Lens
-from boxlift.storage import read_whole
+from boxlift.storage import read_input
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
@@ -85,18 +85,13 @@ def read_calibration(
     path: AnyPath, camera: int = 2, *, camera_only: bool = False, with_lens: bool = False
 ) -> ParsedCalibration:
     """parse_calibration for a file. Raises CalibrationError, also where the file cannot be opened."""
-    try:
-        data = read_whole(path)
-    except OSError as error:
-        raise CalibrationError(
-            str(path), f"the file cannot be read ({error.strerror}).", "Check the path."
-        ) from None
+    data = read_input(path, CalibrationError)
     return parse_calibration(data, str(path), camera, camera_only=camera_only, with_lens=with_lens)
 
 
 def imu_to_velo(path: AnyPath) -> Floats:
-    """(4, 4) of a calibration file's Tr_imu_to_velo, in either spelling. Raises CalibrationError, OSError."""
-    lines = _keyed_lines(read_whole(path).decode(errors="replace"))
+    """(4, 4) of a calibration file's Tr_imu_to_velo, in either spelling. Raises CalibrationError."""
+    lines = _keyed_lines(read_input(path, CalibrationError).decode(errors="replace"))
     return _compose(np.eye(3), _matrix(lines, ("Tr_imu_to_velo", "Tr_imu_velo"), (3, 4), str(path)))
 
 

@@ -20,7 +20,7 @@ from boxlift.formats.cloud_limits import require_point_count
 from boxlift.formats.numpy_files import NPY_MAGIC, decode_npy, decode_npz
 from boxlift.formats.pcd import decode_pcd
 from boxlift.formats.ply import decode_ply
-from boxlift.storage import read_whole
+from boxlift.storage import read_input
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
@@ -74,13 +74,7 @@ def decode_points(
 
 def read_points(path: AnyPath) -> DecodedPoints:
     """decode_points for a file. Raises PointCloudError, also where the file cannot be opened."""
-    try:
-        data = read_whole(path)
-    except OSError as error:
-        raise PointCloudError(
-            str(path), f"the file cannot be read ({error.strerror}).", "Check the path."
-        ) from None
-    return decode_points(data, path.name, str(path))
+    return decode_points(read_input(path, PointCloudError), path.name, str(path))
 
 
 def _decoder(data: bytes, name: str | None, field: str) -> _Decode:

@@ -32,12 +32,12 @@ def read_table(path: AnyPath, names: Sequence[str] | None = None, filters: Any =
     except ImportError:
         raise MissingExtraError("pyarrow", "client") from None
     chosen = None if names is None else list(names)
-    try:
-        if path.suffix == ".parquet":
-            with path.open("rb") as file:
+    with path.open("rb") if path.suffix == ".parquet" else pyarrow.BufferReader(read_whole(path)) as file:
+        try:
+            if path.suffix == ".parquet":
                 return parquet.read_table(file, columns=chosen, filters=filters)
-        return feather.read_table(pyarrow.BufferReader(read_whole(path)), columns=chosen)
-    except (pyarrow.ArrowException, OSError, KeyError) as error:
-        raise LabelFormatError(
-            str(path), f"the file is no table ({str(error)[:200]}).", "Give a Feather or Parquet file."
-        ) from None
+            return feather.read_table(file, columns=chosen)
+        except (pyarrow.ArrowException, OSError, KeyError) as error:
+            raise LabelFormatError(
+                str(path), f"the file is no table ({str(error)[:200]}).", "Give a Feather or Parquet file."
+            ) from None
