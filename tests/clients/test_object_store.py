@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,8 +16,10 @@ import pytest
 
 from boxlift.datasets import open_source
 from boxlift.errors import DatasetError, OptionsError
-from boxlift.storage import open_path, write_whole
+from boxlift.formats.argoverse2_boxes import read_boxes
+from boxlift.storage import names_in, open_path, write_whole, writing_whole
 from boxlift_client import LabelJob, Outcome, label_dataset
+from boxlift_client.convert import Format, convert
 from boxlift_client.engines.local import LocalEngine
 from boxlift_client.ledger import read_rows
 from clients.command import Boxlift
@@ -100,6 +103,21 @@ def test_shards_meet_in_one_label_set(there: AnyPath) -> None:
     assert label_dataset(other, InlineEngine()).frames == {Outcome.LABELLED: 3}
     with pytest.raises(OptionsError, match="made otherwise"):
         label_dataset(job, InlineEngine(version="9"))
+
+
+def test_converted_from_bucket_to_bucket(dataset: Path, server: Server, tmp_path: Path) -> None:  # noqa: ARG001
+    """One file that is written bit by bit, and a folder of files."""
+    labels = open_path(f"s3://{BUCKET}/to-convert")
+    label_dataset(LabelJob(dataset, labels, "label_2"), LocalEngine(1))
+    table = open_path(f"s3://{BUCKET}/converted/labels.parquet")
+    done = convert(labels, Format.ARGOVERSE2, table)
+    assert done.boxes == sum(len(sweep.objects) for sweep in read_boxes(table)) > 0
+    convert(labels, Format.OPENLABEL, table.parent / "openlabel")
+    assert sorted(names_in(table.parent / "openlabel")) == [f"{name}.json" for name in NAMES]
+    with suppress(RuntimeError), writing_whole(table) as file:
+        file.write(b"half a file")
+        raise RuntimeError
+    assert len(read_boxes(table)) == len(NAMES)
 
 
 def test_what_vanishes_is_told_and_costs_no_other(there: AnyPath) -> None:
