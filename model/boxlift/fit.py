@@ -39,7 +39,8 @@ _DTYPE = torch.float32
 class FitProblem:
     """One object with one hypothesis of its heading.
 
-    points_xz: (M, 2) object-LiDAR-points, rectified camera frame. origin_xz: (2,) where the rays start.
+    points_xz: (M, 2) object-LiDAR-points, rectified camera frame. origin_xz: (2,) where the rays start, or
+    (M, 2) where those of each point do; all problems of a call alike.
     start_xz: (2,) where the search begins; the mean of the points where none is given.
     """
 
@@ -88,6 +89,9 @@ class _Batch:
             points_xz=self.points_xz.gather(1, index[..., None].expand(-1, -1, 2)),
             valid=self.valid.gather(1, index),
             density=self.density.gather(1, index),
+            origin_xz=self.origin_xz
+            if self.origin_xz.dim() == 2
+            else self.origin_xz.gather(1, index[..., None].expand(-1, -1, 2)),
         )
 
     def boxes(self, center_xz: Tensor) -> BevBoxes:
@@ -150,12 +154,20 @@ def _stack(problems: Sequence[FitProblem], loss: LossSettings, pad_to: int) -> _
         valid=is_valid,
         density=point_density(points_xz, is_valid, loss.density_radius_m),
         anchor_xz=torch.from_numpy(np.stack([problem.anchor_xz for problem in problems])).to(_DTYPE),
-        origin_xz=column("origin_xz"),
+        origin_xz=_origins(problems, pad_to),
         length=column("length_m"),
         width=column("width_m"),
         rotation_y=column("rotation_y"),
         settings=loss,
     )
+
+
+def _origins(problems: Sequence[FitProblem], pad_to: int) -> Tensor:
+    """(B, 2), or (B, M, 2) padded as the points are."""
+    origins = [problem.origin_xz for problem in problems]
+    if origins[0].ndim == 2:
+        origins = [np.pad(each, [(0, pad_to - len(each)), (0, 0)]) for each in origins]
+    return torch.tensor(np.array(origins), dtype=_DTYPE)
 
 
 def _search(batch: _Batch, settings: FitSettings) -> Tensor:

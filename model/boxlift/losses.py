@@ -8,7 +8,8 @@ function broadcast over it. M is the number of points per object, padded where o
 
     points_xz   (..., M, 2)  object-LiDAR-points as (x, z) in the rectified camera frame, metres
     valid       (..., M)     bool, False where a point is padding
-    origin_xz   (..., 2)     where the rays start: the camera's optical centre, or the LiDAR's
+    origin_xz   (..., 2)     where the rays start: the camera's optical centre, or the LiDAR's; of points
+                             that were seen from several places (..., M, 2), as many axes as points_xz
 """
 
 from __future__ import annotations
@@ -90,8 +91,9 @@ def ray_tracing(points_xz: Tensor, boxes: BevBoxes, origin_xz: Tensor) -> tuple[
     The distance is 0 where the ray misses. From an origin inside the box the ray leaves through the
     only side in front of it. The slab test of Kay and Kajiya (1986), in box coordinates.
     """
-    starts = boxes.to_box_frame(*boxes.offset(origin_xz[..., None, :]))
-    ray_x, ray_z = (points_xz - origin_xz[..., None, :]).unbind(-1)
+    origins_xz = origin_xz if origin_xz.dim() == points_xz.dim() else origin_xz[..., None, :]
+    starts = boxes.to_box_frame(*boxes.offset(origins_xz))
+    ray_x, ray_z = (points_xz - origins_xz).unbind(-1)
     rays = boxes.to_box_frame(ray_x, ray_z)
     enter, leave = [], []
     for start, ray, extent in zip(starts, rays, (boxes.length, boxes.width), strict=True):

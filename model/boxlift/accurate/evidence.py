@@ -105,7 +105,8 @@ def weigh(
     in_core = core.sum(1)
     sampled = region.found_around / max(len(region.around), 1)
 
-    errors, _ = edge_errors(parameters, region.box_px, frame.image_size_px, frame.calibration)
+    image_P_cam = frame.calibration.image_P_cam
+    errors, _ = edge_errors(parameters, region.box_px, frame.image_size_px, image_P_cam)
     errors = _EDGE_HUBER**2 * (np.sqrt(1 + (errors / _EDGE_HUBER) ** 2) - 1) * use_edges
     off_size = (parameters[:, LENGTH : HEIGHT + 1] - size.lwh_m) / size.sigma_m
     off_ground = (parameters[:, BOTTOM] - view.ground.y_at(parameters[:, X], parameters[:, Z])) / GROUND_M

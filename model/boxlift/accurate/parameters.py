@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from boxlift.boxes import Boxes3D
-from boxlift.camera import Calibration, Floats
+from boxlift.camera import Floats
 
 # Columns. BOTTOM is the y of the bottom face (down is positive).
 X, Z, YAW, LENGTH, WIDTH, HEIGHT, BOTTOM = range(7)
@@ -30,20 +30,23 @@ def to_box_frame(parameters: Floats, points_xz: Floats) -> tuple[Floats, Floats]
     return cos * x - sin * z, sin * x + cos * z
 
 
-def project_edges(parameters: Floats, calibration: Calibration) -> tuple[Floats, Floats]:
-    """(B, 7) -> edges (B, 4) x1, y1, x2, y2 in pixels, uncut, and their derivatives (B, 4, 7)."""
+def project_edges(parameters: Floats, image_P_cam: Floats) -> tuple[Floats, Floats]:
+    """(B, 7) -> edges (B, 4) x1, y1, x2, y2 in pixels, uncut, and their derivatives (B, 4, 7).
+
+    image_P_cam: (3, 4) from the frame of the boxes, which may be another than the camera's.
+    """
     x, z, yaw, length, width, height, bottom = parameters.T[..., None]
     cos, sin = np.cos(yaw), np.sin(yaw)
     along, across = np.tile(_ALONG, 2), np.tile(_ACROSS, 2)
     is_top = np.repeat([0.0, 1.0], 4)
     from_x = cos * along * length + sin * across * width
     from_z = -sin * along * length + cos * across * width
-    corner_z = (z + from_z).clip(_NEAREST_M)
-    corners = np.stack([x + from_x, bottom - is_top * height + 0 * from_x, corner_z], axis=-1)
-    image_P_cam = calibration.image_P_cam
+    corners = np.stack([x + from_x, bottom - is_top * height + 0 * from_x, z + from_z], axis=-1)
     homogeneous = corners @ image_P_cam[:, :3].T + image_P_cam[:, 3]
-    # The camera may stand before the origin of its frame: then z is not yet depth.
-    depth = homogeneous[..., 2:].clip(_NEAREST_M)
+    # What is nearer is moved along the optical axis.
+    lacking = (_NEAREST_M - homogeneous[..., 2:]).clip(0)
+    homogeneous += lacking * (image_P_cam[:, :3] @ image_P_cam[2, :3])
+    depth = homogeneous[..., 2:]
     pixels = homogeneous[..., :2] / depth
 
     rows = np.arange(len(parameters))

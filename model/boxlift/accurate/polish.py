@@ -131,10 +131,13 @@ def outline_distance(parameters: Floats, points_xz: Floats) -> Floats:
 
 
 def edge_errors(
-    parameters: Floats, box_px: Floats, image_size_px: tuple[int, int], calibration: Calibration
+    parameters: Floats, box_px: Floats, image_size_px: tuple[int, int], image_P_cam: Floats
 ) -> tuple[Floats, Floats]:
-    """Projected edges cut to the image minus the prompt's (B, 4), in standard deviations; derivatives."""
-    edges, derivative = project_edges(parameters, calibration)
+    """Projected edges cut to the image minus the prompt's (B, 4), in standard deviations; derivatives.
+
+    image_P_cam: (3, 4) from the frame of the boxes, see project_edges.
+    """
+    edges, derivative = project_edges(parameters, image_P_cam)
     width, height = image_size_px
     border = np.array([width - 1, height - 1, width - 1, height - 1])
     sides = box_px[..., [2, 3, 2, 3]] - box_px[..., [0, 1, 0, 1]]
@@ -170,7 +173,8 @@ def _linearised(
 ) -> tuple[Floats, Floats, Floats]:
     """Cost (B,), normal matrices (B, 7, 7) and gradients (B, 7), robust terms as reweighted squares."""
     point_cost, point_residual, point_slope = _point_terms(parameters, target)
-    edge, edge_slope = edge_errors(parameters, target.box_px, viewpoint.image_size_px, viewpoint.calibration)
+    image_P_cam = viewpoint.calibration.image_P_cam
+    edge, edge_slope = edge_errors(parameters, target.box_px, viewpoint.image_size_px, image_P_cam)
     scaled = (edge / _EDGE_CAUCHY) ** 2
     edge_weight = viewpoint.use_edges / (1 + scaled)
     edge_cost = viewpoint.use_edges * _EDGE_CAUCHY**2 * np.log1p(scaled).sum(1)

@@ -46,18 +46,18 @@ def test_points_for_all_boxes_or_for_each_its_own() -> None:
 @pytest.mark.parametrize("calibration", [CALIBRATION, OFFSET_CAMERA])
 def test_edges_are_those_of_the_projected_box(calibration: Calibration) -> None:
     boxes = some_boxes(50)
-    edges, _ = project_edges(boxes, calibration)
+    edges, _ = project_edges(boxes, calibration.image_P_cam)
     assert edges == pytest.approx(to_boxes(boxes).project(calibration))
 
 
 @pytest.mark.parametrize("calibration", [CALIBRATION, OFFSET_CAMERA])
 def test_the_derivatives_of_the_edges_are_those_of_finite_differences(calibration: Calibration) -> None:
     boxes = some_boxes(50)
-    _, derivative = project_edges(boxes, calibration)
+    _, derivative = project_edges(boxes, calibration.image_P_cam)
     step = 1e-6
     for column in range(7):
         aside = step * np.eye(7)[column]
-        later, earlier = (project_edges(boxes + sign * aside, calibration)[0] for sign in (1, -1))
+        later, earlier = (project_edges(boxes + sign * aside, calibration.image_P_cam)[0] for sign in (1, -1))
         assert derivative[..., column] == pytest.approx((later - earlier) / (2 * step), rel=1e-4, abs=1e-3)
 
 
@@ -67,6 +67,6 @@ def test_a_box_around_the_camera_has_finite_edges(offset: float) -> None:
     image_P_cam = CALIBRATION.image_P_cam.copy()
     image_P_cam[2, 3] = offset
     calibration = Calibration(image_P_cam, CALIBRATION.cam_SE3_velo)
-    edges, derivative = project_edges(a_box(0.0, 0.0), calibration)
+    edges, derivative = project_edges(a_box(0.0, 0.0), calibration.image_P_cam)
     assert np.isfinite(edges).all()
     assert np.isfinite(derivative).all()

@@ -128,18 +128,18 @@ def test_an_edge_beyond_the_border_costs_nothing() -> None:
     """Two cars reach out of the image on the left, one of them farther: the image shows them alike."""
     for x in (-9.5, -10.5):
         box = a_box(x, 10.0, 0.0)
-        edges, _ = project_edges(box, CALIBRATION)
+        edges, _ = project_edges(box, CALIBRATION.image_P_cam)
         assert edges[0, 0] < 0 < edges[0, 2]
         prompt_px = np.clip(edges, 0, None)
-        errors, slopes = edge_errors(box, prompt_px, IMAGE_SIZE_PX, CALIBRATION)
+        errors, slopes = edge_errors(box, prompt_px, IMAGE_SIZE_PX, CALIBRATION.image_P_cam)
         assert errors.tolist() == [[0, 0, 0, 0]]
         assert not slopes[0, 0].any()
         assert slopes[0, 2].any()
 
 
 def test_an_edge_within_the_image_costs_by_its_distance() -> None:
-    edges, _ = project_edges(TRUTH, CALIBRATION)
-    errors, _ = edge_errors(TRUTH, edges - np.array([10.0, 0, 0, 0]), IMAGE_SIZE_PX, CALIBRATION)
+    edges, _ = project_edges(TRUTH, CALIBRATION.image_P_cam)
+    errors, _ = edge_errors(TRUTH, edges - np.array([10.0, 0, 0, 0]), IMAGE_SIZE_PX, CALIBRATION.image_P_cam)
     assert errors[0, 0] > 2
     assert errors[0, 1:].tolist() == [0, 0, 0]
 

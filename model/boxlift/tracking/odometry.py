@@ -1,0 +1,125 @@
+"""Where the sweeps of a drive were taken, from their points: KISS-ICP's scan matching.
+
+Poses of a GPS/IMU drift against each other by decimetres within seconds, and their mounting is known to a
+degree: enough for a map, too little for the sides of a car. They say where a sweep is looked for; the match
+says where it is. Without any, the last motion says it.
+
+Source: Vizzo et al., "KISS-ICP", IEEE Robotics and Automation Letters 8 (2), 2023.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boxlift.errors import MissingExtraError
+from boxlift.poses import inverse, pose
+
+if TYPE_CHECKING:
+    from boxlift.poses import Floats
+
+# Cells of the map: those of KISS-ICP for a range of 100 m are twice as large; half of it costs little, and
+# a car has edges.
+_VOXEL_M = 0.5
+_NEAREST_M, _FARTHEST_M = 2.5, 100.0
+# The motion before the first sweep is not known: so many are matched to learn it, and then matched again.
+_LEARNED_FROM = 10
+# A match that is off its guess by more than this much a sweep is none: the guess is taken.
+_LARGEST_CORRECTION_M, _LARGEST_CORRECTION_RAD = 1.0, np.deg2rad(5.0)
+
+
+@dataclass(frozen=True)
+class UnmatchedSweep:
+    """points_ego (N, 3+) of a sweep, and what a data set says of its pose."""
+
+    points_ego: NDArray[np.floating]
+    world_SE3_ego: Floats | None
+
+
+def matched_poses(sweeps: Iterable[UnmatchedSweep]) -> Iterator[Floats]:
+    """world_SE3_ego (4, 4) of the sweeps of one drive, in their order.
+
+    The world is that of the data set's poses at the first sweep, else the first sweep's ego frame. Poses are
+    good among neighbours; over a drive they drift, as odometry does. Raises MissingExtraError.
+    """
+    waiting = iter(sweeps)
+    first = list(islice(waiting, _LEARNED_FROM))
+    if not first:
+        return
+    matcher = _Matcher()
+    if any(sweep.world_SE3_ego is None for sweep in first):
+        for sweep in first:
+            matcher.match(sweep)
+        matcher = _Matcher(matcher.last_motion)
+    start = first[0].world_SE3_ego
+    start = np.eye(4) if start is None else start
+    world_SE3_map = start @ inverse(matcher.match(first[0]))
+    yield start
+    for sweep in first[1:]:
+        yield world_SE3_map @ matcher.match(sweep)
+    for sweep in waiting:
+        yield world_SE3_map @ matcher.match(sweep)
+
+
+class _Matcher:
+    """KISS-ICP, told where to look."""
+
+    def __init__(self, last_motion: Floats | None = None) -> None:
+        config, pipeline = _kiss_icp()
+        settings = config()
+        settings.data.deskew = False  # the points of a sweep have no times here
+        settings.data.min_range, settings.data.max_range = _NEAREST_M, _FARTHEST_M
+        settings.mapping.voxel_size = _VOXEL_M
+        # More threads sum in another order each time.
+        settings.registration.max_num_threads = 1
+        self._pipeline = pipeline(settings)
+        if last_motion is not None:
+            self._pipeline.last_delta = _rigid(last_motion)
+        self._before: Floats | None = None
+
+    @property
+    def last_motion(self) -> Floats:
+        """(4, 4) from the last sweep but one to the last."""
+        motion: Floats = self._pipeline.last_delta
+        return motion
+
+    def match(self, sweep: UnmatchedSweep) -> Floats:
+        """map_SE3_ego of the next sweep."""
+        told = sweep.world_SE3_ego
+        if told is not None and self._before is not None:
+            self._pipeline.last_delta = _rigid(inverse(self._before) @ told)
+        self._before = told
+        guess = self._pipeline.last_pose @ self._pipeline.last_delta
+        points = np.ascontiguousarray(sweep.points_ego[:, :3], dtype=np.float64)
+        self._pipeline.register_frame(points, np.empty(0))
+        if told is not None and _is_far(inverse(guess) @ self._pipeline.last_pose):
+            self._pipeline.last_pose = _rigid(guess)
+        found: Floats = self._pipeline.last_pose
+        return found
+
+
+def _is_far(correction: Floats) -> bool:
+    turned = np.arccos(np.clip((np.trace(correction[:3, :3]) - 1) / 2, -1, 1))
+    return bool(
+        np.linalg.norm(correction[:3, 3]) > _LARGEST_CORRECTION_M or turned > _LARGEST_CORRECTION_RAD
+    )
+
+
+def _rigid(matrix: Floats) -> Floats:
+    """The nearest rigid transform: KISS-ICP ends the process where a rotation is off by more than 1e-9."""
+    left, _, right = np.linalg.svd(matrix[:3, :3])
+    return pose(left @ right, matrix[:3, 3])
+
+
+def _kiss_icp() -> tuple[Any, Any]:
+    try:
+        from kiss_icp.config import KISSConfig
+        from kiss_icp.kiss_icp import KissICP
+    except ImportError:
+        raise MissingExtraError("kiss-icp", "track") from None
+    return KISSConfig, KissICP
