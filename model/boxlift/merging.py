@@ -28,19 +28,10 @@ def merge_views(views: Sequence[SweepLabels], same_object_iou: float = SAME_OBJE
 
     `cameras` of an object names all that saw it. Time and pose are those of the first view that knows them.
     """
-    objects = [(index, each) for index, view in enumerate(views) for each in view.objects]
-    group_of = list(range(len(objects)))
-    if len(views) > 1 and objects:
-        boxes = boxes_in_camera([each for _, each in objects], LOOKING_AHEAD)
-        iou = iou_3d_matrix(boxes, boxes)
-        view_of = np.array([index for index, _ in objects])
-        first, second = np.nonzero(np.triu((iou >= same_object_iou) & (view_of[:, None] != view_of[None])))
-        for at in np.argsort(-iou[first, second], kind="stable"):
-            _join(group_of, view_of.tolist(), int(first[at]), int(second[at]))
-    groups: dict[int, list[EgoObject]] = {}
-    for group, (_, each) in zip(group_of, objects, strict=True):
-        groups.setdefault(group, []).append(each)
-    merged = [_one_of(group) for group in groups.values()]
+    merged = [
+        _one_of([views[view].objects[index] for view, index in group])
+        for group in same_objects(views, same_object_iou)
+    ]
     return SweepLabels(
         sweep=views[0].sweep,
         objects=tuple(sorted(merged, key=lambda each: -each.score)),
@@ -48,6 +39,26 @@ def merge_views(views: Sequence[SweepLabels], same_object_iou: float = SAME_OBJE
         timestamp_ns=next((each.timestamp_ns for each in views if each.timestamp_ns is not None), None),
         world_SE3_ego=next((each.world_SE3_ego for each in views if each.world_SE3_ego is not None), None),
     )
+
+
+def same_objects(
+    views: Sequence[SweepLabels], same_object_iou: float = SAME_OBJECT_IOU
+) -> list[list[tuple[int, int]]]:
+    """Which boxes of a sweep's views are one object: groups of (number of the view, number of the object)."""
+    members = [(number, index) for number, view in enumerate(views) for index in range(len(view.objects))]
+    group_of = list(range(len(members)))
+    if len(views) > 1 and members:
+        objects = [views[number].objects[index] for number, index in members]
+        boxes = boxes_in_camera(objects, LOOKING_AHEAD)
+        iou = iou_3d_matrix(boxes, boxes)
+        view_of = np.array([number for number, _ in members])
+        first, second = np.nonzero(np.triu((iou >= same_object_iou) & (view_of[:, None] != view_of[None])))
+        for at in np.argsort(-iou[first, second], kind="stable"):
+            _join(group_of, view_of.tolist(), int(first[at]), int(second[at]))
+    groups: dict[int, list[tuple[int, int]]] = {}
+    for group, member in zip(group_of, members, strict=True):
+        groups.setdefault(group, []).append(member)
+    return list(groups.values())
 
 
 def _join(group_of: list[int], view_of: list[int], first: int, second: int) -> None:

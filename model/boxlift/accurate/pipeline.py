@@ -86,9 +86,7 @@ def decide(
     times = times or StageTimes()
     repairs = settings.repairs or RepairSettings()
     viewpoint = Viewpoint(
-        view.frame.calibration,
-        view.frame.image_size_px,
-        use_edges=repairs.edges,
+        view.frame.calibration.image_P_cam, view.frame.image_size_px, weight=float(repairs.edges)
     )
     with times.stage("scout"):
         scouted = _scout_all(view, usable, viewpoint, settings, repairs)
@@ -109,7 +107,7 @@ def decide(
         target = Target.joined([item.target for item in scouted])
         boxes = _place(scouted, target, solutions)
         if repairs.polish:
-            boxes = polish(boxes, target, viewpoint, _POLISH_STEPS)
+            boxes, _ = polish(boxes, target, [viewpoint], _POLISH_STEPS)
     with times.stage("evidence"):
         used = [0 if problem is None else len(problem.points_xz) for problem in problems]
         decisions = _weigh_all(view, scouted, boxes, solutions, used, repairs)
@@ -170,7 +168,7 @@ def _scout(
         worth = weights[some] * _SCOUT_STRIDE
         on_ground = view.ground.is_known(proposals[:, X], proposals[:, Z])
         target = Target.of_one(points_xz[some], worth, region.box_px, size, proposals[:, BOTTOM], on_ground)
-        proposals = polish(proposals, target, viewpoint, _SCOUT_STEPS)
+        proposals, _ = polish(proposals, target, [viewpoint], _SCOUT_STEPS)
     energy = weigh(view, region, proposals, size, use_edges=repairs.edges).energy(EVIDENCE_WEIGHTS)
     hypotheses = distinct(proposals[np.argsort(energy, kind="stable")])[: repairs.fits]
     x, z = hypotheses[:, X], hypotheses[:, Z]

@@ -21,14 +21,14 @@ from boxlift.accurate.parameters import (
     project_edges,
     to_box_frame,
 )
-from boxlift.camera import Calibration, Floats
+from boxlift.camera import Floats
 
 # Standard deviations (ours). Points lie inside an outline that mirrors and rounded corners blur.
 OUTSIDE_M, INSIDE_M = 0.07, 0.3
 # A point never costs more than this many variances: it is of something else (Geman and McClure, 1985).
 POINT_CAP = 9.0
 # All points of an object together weigh as much as this many: their errors are not independent.
-_POINTS_WORTH = 10.0
+POINTS_WORTH = 10.0
 # Edges of prompts: this many pixels, and this share of the prompt's size.
 _EDGE_PX, _EDGE_SHARE = 2.0, 0.015
 # Edge errors beyond this many standard deviations count by their logarithm (Cauchy).
@@ -51,8 +51,9 @@ class SizePull:
 class Target:
     """What B boxes are pulled to, each to its own.
 
-    points_xz (B, M, 2) with weights (B, M), 0 where a point is padding. box_px (B, 4) the prompt cut to the
-    image, which the projected box is cut to as well: an edge beyond the border costs nothing. lwh_m,
+    points_xz (B, M, 2) with weights (B, M), 0 where a point is padding. box_px (B, V, 4) the prompts of V
+    viewpoints, cut to the image, which the projected box is cut to as well: an edge beyond the border costs
+    nothing. lwh_m,
     sigma_m (B, 3) the size and how far it may be off. bottom_y, bottom_sigma_m (B,) the same for the ground.
     """
 
@@ -74,11 +75,12 @@ class Target:
         bottom_y: Floats,
         ground_is_known: NDArray[np.bool_],
     ) -> Target:
-        """The target of B hypotheses on one prompt: points (M, 2), weights (M,), box (4,); ground (B,)."""
+        """The target of B hypotheses on one object: points (M, 2), weights (M,), boxes (V, 4) or, of a single
+        view, (4,); ground (B,)."""
         count = len(bottom_y)
         points, weight, box, lwh, sigma = (
             np.broadcast_to(one, (count, *one.shape))
-            for one in (points_xz, weights, box_px, size.lwh_m, size.sigma_m)
+            for one in (points_xz, weights, box_px.reshape(-1, 4), size.lwh_m, size.sigma_m)
         )
         bottom_sigma_m = np.where(ground_is_known, GROUND_M, _UNKNOWN_GROUND_M)
         return cls(points, weight, box, lwh, sigma, bottom_y, bottom_sigma_m)
@@ -105,19 +107,22 @@ class Target:
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """What the polish knows of the camera; use_edges: whether the prompt's edges count."""
+    """What the polish knows of a camera.
 
-    calibration: Calibration
+    image_P_cam: (3, 4) from the frame of the boxes. weight: what the prompt's edges count, 0 for nothing.
+    """
+
+    image_P_cam: Floats
     image_size_px: tuple[int, int]
-    use_edges: bool = True
+    weight: float = 1.0
 
 
-def point_weights(points_xz: Floats, radius_m: float) -> Floats:
+def point_weights(points_xz: Floats, radius_m: float, worth: float = POINTS_WORTH) -> Floats:
     """(M,) inverse densities (paper, equation 4) that sum to what the points are worth."""
     apart = points_xz[:, None] - points_xz[None]
     near = (apart**2).sum(-1) < radius_m**2
     weights = 1 / near.sum(1).clip(1)
-    scaled: Floats = weights / max(weights.sum(), 1e-9) * min(len(points_xz), _POINTS_WORTH)
+    scaled: Floats = weights / max(weights.sum(), 1e-9) * min(len(points_xz), worth)
     return scaled
 
 
@@ -148,48 +153,54 @@ def edge_errors(
     return errors, slopes
 
 
-def polish(parameters: Floats, target: Target, viewpoint: Viewpoint, steps: int) -> Floats:
-    """(B, 7) -> (B, 7) boxes nearer to their target; a step that does not help is not taken."""
+def polish(
+    parameters: Floats, target: Target, viewpoints: Sequence[Viewpoint], steps: int
+) -> tuple[Floats, Floats]:
+    """(B, 7) -> (B, 7) boxes nearer to their target, and what they are still off, (B,) squares of standard
+    deviations; a step that does not help is not taken."""
     current = parameters.copy()
     start_yaw = parameters[:, YAW].copy()
     damping = np.full(len(current), 1e-2)
-    cost, normal, gradient = _linearised(current, start_yaw, target, viewpoint)
+    cost, normal, gradient = _linearised(current, start_yaw, target, viewpoints)
     for _ in range(steps):
         diagonal = normal.diagonal(axis1=1, axis2=2)
         damped = normal + (damping[:, None] * diagonal + 1e-6)[:, :, None] * np.eye(7)
         step = -np.linalg.solve(damped, gradient[..., None])[..., 0]
         moved = current + step.clip(-_LARGEST_STEP, _LARGEST_STEP)
         moved[:, LENGTH : HEIGHT + 1] = moved[:, LENGTH : HEIGHT + 1].clip(_SMALLEST_SIDE_M)
-        new_cost, new_normal, new_gradient = _linearised(moved, start_yaw, target, viewpoint)
+        new_cost, new_normal, new_gradient = _linearised(moved, start_yaw, target, viewpoints)
         better = new_cost < cost
         current[better], cost[better] = moved[better], new_cost[better]
         normal[better], gradient[better] = new_normal[better], new_gradient[better]
         damping = np.where(better, damping * 0.3, damping * 5)
-    return current
+    return current, cost
 
 
 def _linearised(
-    parameters: Floats, start_yaw: Floats, target: Target, viewpoint: Viewpoint
+    parameters: Floats, start_yaw: Floats, target: Target, viewpoints: Sequence[Viewpoint]
 ) -> tuple[Floats, Floats, Floats]:
     """Cost (B,), normal matrices (B, 7, 7) and gradients (B, 7), robust terms as reweighted squares."""
-    point_cost, point_residual, point_slope = _point_terms(parameters, target)
-    image_P_cam = viewpoint.calibration.image_P_cam
-    edge, edge_slope = edge_errors(parameters, target.box_px, viewpoint.image_size_px, image_P_cam)
-    scaled = (edge / _EDGE_CAUCHY) ** 2
-    edge_weight = viewpoint.use_edges / (1 + scaled)
-    edge_cost = viewpoint.use_edges * _EDGE_CAUCHY**2 * np.log1p(scaled).sum(1)
+    cost, point_residual, point_slope = _point_terms(parameters, target)
     prior, prior_scale = _prior_terms(parameters, start_yaw, target)
-
-    weighted = edge_slope * edge_weight[..., None]
-    edge_turned = weighted.transpose(0, 2, 1)
-    normal = edge_turned @ edge_slope
-    gradient = (edge_turned @ edge[..., None])[..., 0]
+    cost += (prior**2).sum(1)
+    normal = prior_scale[:, :, None] ** 2 * np.eye(7)
+    gradient = prior * prior_scale
+    for view, viewpoint in enumerate(viewpoints):
+        if not viewpoint.weight:
+            continue
+        edge, edge_slope = edge_errors(
+            parameters, target.box_px[:, view], viewpoint.image_size_px, viewpoint.image_P_cam
+        )
+        scaled = (edge / _EDGE_CAUCHY) ** 2
+        cost += viewpoint.weight * _EDGE_CAUCHY**2 * np.log1p(scaled).sum(1)
+        weighted = edge_slope * (viewpoint.weight / (1 + scaled))[..., None]
+        turned = weighted.transpose(0, 2, 1)
+        normal += turned @ edge_slope
+        gradient += (turned @ edge[..., None])[..., 0]
     seen = point_slope.shape[1]  # points see nothing of height and bottom
     normal[:, :seen, :seen] += point_slope @ point_slope.transpose(0, 2, 1)
     gradient[:, :seen] += (point_slope @ point_residual[..., None])[..., 0]
-    normal += prior_scale[:, :, None] ** 2 * np.eye(7)
-    gradient += prior * prior_scale
-    return point_cost + edge_cost + (prior**2).sum(1), normal, gradient
+    return cost, normal, gradient
 
 
 def _point_terms(parameters: Floats, target: Target) -> tuple[Floats, Floats, Floats]:

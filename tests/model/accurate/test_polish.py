@@ -20,7 +20,7 @@ from boxlift.camera import Floats
 from model.accurate.by_hand import LWH_M, a_box, outline_points, prompt_of
 from model.small_frame import CALIBRATION, CAMERA_HEIGHT_M, IMAGE_SIZE_PX
 
-VIEWPOINT = Viewpoint(CALIBRATION, IMAGE_SIZE_PX)
+VIEWPOINT = Viewpoint(CALIBRATION.image_P_cam, IMAGE_SIZE_PX)
 SIZE = SizePull(LWH_M, 0.1 * LWH_M)
 TRUTH = a_box()
 OFF = np.array([0.25, -0.3, 0.12, 0.0, 0.0, 0.0, 0.1])
@@ -36,7 +36,7 @@ def target_of(truth: Floats, count: int = 1, per_side: int = 20, size: SizePull 
 
 
 def cost(boxes: Floats, start: Floats, target: Target, viewpoint: Viewpoint = VIEWPOINT) -> Floats:
-    return _linearised(boxes, start[:, YAW], target, viewpoint)[0]
+    return _linearised(boxes, start[:, YAW], target, [viewpoint])[0]
 
 
 def scattered(count: int) -> Floats:
@@ -67,7 +67,7 @@ def test_the_gradient_is_half_the_slope_of_the_cost() -> None:
     boxes = scattered(30)
     target = target_of(TRUTH, len(boxes))
     start = boxes + 0.1  # so that the pull on the heading counts
-    _, _, gradient = _linearised(boxes, start[:, YAW], target, VIEWPOINT)
+    _, _, gradient = _linearised(boxes, start[:, YAW], target, [VIEWPOINT])
     step = 1e-6
     for column in range(7):
         aside = step * np.eye(7)[column]
@@ -76,7 +76,7 @@ def test_the_gradient_is_half_the_slope_of_the_cost() -> None:
 
 
 def test_finds_back_a_box_that_was_shifted_and_turned() -> None:
-    (found,) = polish(TRUTH + OFF, target_of(TRUTH), VIEWPOINT, 20)
+    (found,), _ = polish(TRUTH + OFF, target_of(TRUTH), [VIEWPOINT], 20)
     assert found[[X, Z, BOTTOM]].tolist() == pytest.approx(TRUTH[0, [X, Z, BOTTOM]].tolist(), abs=0.03)
     assert found[YAW] == pytest.approx(TRUTH[0, YAW], abs=0.02)
     assert found[LENGTH : HEIGHT + 1].tolist() == pytest.approx(LWH_M.tolist(), abs=0.05)
@@ -85,7 +85,7 @@ def test_finds_back_a_box_that_was_shifted_and_turned() -> None:
 def test_finds_a_size_that_is_not_the_typical_one() -> None:
     longer = TRUTH.copy()
     longer[:, LENGTH : HEIGHT + 1] *= (1.12, 1.06, 1.1)
-    (found,) = polish(TRUTH, target_of(longer), VIEWPOINT, 20)
+    (found,), _ = polish(TRUTH, target_of(longer), [VIEWPOINT], 20)
     before, after = (np.abs(box - longer[0])[LENGTH : HEIGHT + 1] for box in (TRUTH[0], found))
     assert (after < 0.5 * before).all()
 
@@ -93,7 +93,7 @@ def test_finds_a_size_that_is_not_the_typical_one() -> None:
 def test_no_step_raises_the_cost() -> None:
     boxes = scattered(30)
     target = target_of(TRUTH, len(boxes))
-    costs = [cost(polish(boxes, target, VIEWPOINT, steps), boxes, target) for steps in range(10)]
+    costs = [cost(polish(boxes, target, [VIEWPOINT], steps)[0], boxes, target) for steps in range(10)]
     assert (np.diff(costs, axis=0) <= 0).all()
     assert (costs[-1] < costs[0]).all()
 
@@ -101,15 +101,15 @@ def test_no_step_raises_the_cost() -> None:
 def test_without_steps_nothing_moves_and_the_start_is_never_written_to() -> None:
     start = TRUTH + OFF
     kept = start.copy()
-    assert polish(start, target_of(TRUTH), VIEWPOINT, 0).tolist() == kept.tolist()
-    polish(start, target_of(TRUTH), VIEWPOINT, 5)
+    assert polish(start, target_of(TRUTH), [VIEWPOINT], 0)[0].tolist() == kept.tolist()
+    polish(start, target_of(TRUTH), [VIEWPOINT], 5)
     assert start.tolist() == kept.tolist()
 
 
 def test_without_points_and_edges_size_and_bottom_are_what_was_expected() -> None:
     start = TRUTH + np.array([0, 0, 0, 0.4, -0.2, 0.3, 0.2])
     target = replace(target_of(TRUTH), weights=np.zeros((1, 40)))
-    (found,) = polish(start, target, replace(VIEWPOINT, use_edges=False), 20)
+    (found,), _ = polish(start, target, [replace(VIEWPOINT, weight=0)], 20)
     assert found.tolist() == pytest.approx(TRUTH[0].tolist(), abs=1e-3)
 
 
@@ -120,7 +120,7 @@ def test_a_point_far_away_hardly_matters() -> None:
         points_xz=np.concatenate([target.points_xz, [[[7.0, 21.0]]]], axis=1),
         weights=np.concatenate([target.weights, [[0.25]]], axis=1),
     )
-    without, with_it = (polish(start, one, VIEWPOINT, 20)[0] for one in (target, stray))
+    without, with_it = (polish(start, one, [VIEWPOINT], 20)[0][0] for one in (target, stray))
     assert with_it.tolist() == pytest.approx(without.tolist(), abs=0.02)
 
 
@@ -149,13 +149,13 @@ def test_together_boxes_end_where_each_ends_alone() -> None:
     truths = [a_box(), a_box(-4.0, 22.0, 0.3), a_box(5.0, 9.0, -1.6)]
     targets = [target_of(one, 2, per_side) for one, per_side in zip(truths, (5, 20, 11), strict=True)]
     starts = [np.repeat(one, 2, axis=0) + OFF * np.array([[1], [-1]]) for one in truths]
-    alone = [polish(start, one, VIEWPOINT, 8) for start, one in zip(starts, targets, strict=True)]
-    together = polish(np.concatenate(starts), Target.joined(targets), VIEWPOINT, 8)
+    alone = [polish(start, one, [VIEWPOINT], 8)[0] for start, one in zip(starts, targets, strict=True)]
+    together, _ = polish(np.concatenate(starts), Target.joined(targets), [VIEWPOINT], 8)
     assert together == pytest.approx(np.concatenate(alone), abs=1e-6)
 
 
 @pytest.mark.parametrize("column", [LENGTH, WIDTH, HEIGHT])
 def test_no_side_becomes_negative(column: int) -> None:
     size = SizePull(np.full(3, 0.1), np.full(3, 0.01))
-    found = polish(TRUTH, target_of(TRUTH, size=size), VIEWPOINT, 30)
+    found, _ = polish(TRUTH, target_of(TRUTH, size=size), [VIEWPOINT], 30)
     assert found[0, column] > 0
