@@ -53,8 +53,8 @@ class Target:
 
     points_xz (B, M, 2) with weights (B, M), 0 where a point is padding. box_px (B, V, 4) the prompts of V
     viewpoints, cut to the image, which the projected box is cut to as well: an edge beyond the border costs
-    nothing. lwh_m,
-    sigma_m (B, 3) the size and how far it may be off. bottom_y, bottom_sigma_m (B,) the same for the ground.
+    nothing. lwh_m, sigma_m (B, 3) the size and how far it may be off. bottom_y, bottom_sigma_m (B,) the same
+    for the ground. inside_m: how far points may lie inside the outline.
     """
 
     points_xz: Floats
@@ -64,6 +64,7 @@ class Target:
     sigma_m: Floats
     bottom_y: Floats
     bottom_sigma_m: Floats
+    inside_m: float = INSIDE_M
 
     @classmethod
     def of_one(
@@ -87,7 +88,7 @@ class Target:
 
     @classmethod
     def joined(cls, targets: Sequence[Target]) -> Target:
-        """Targets one after the other, their points padded to the largest number."""
+        """Targets one after the other, their points padded to the largest number; inside_m is one for all."""
         most = max(target.weights.shape[1] for target in targets)
 
         def padded(array: Floats) -> Floats:
@@ -102,6 +103,7 @@ class Target:
                 np.concatenate([getattr(target, name) for target in targets])
                 for name in ("box_px", "lwh_m", "sigma_m", "bottom_y", "bottom_sigma_m")
             ),
+            inside_m=targets[0].inside_m,
         )
 
 
@@ -210,7 +212,7 @@ def _point_terms(parameters: Floats, target: Target) -> tuple[Floats, Floats, Fl
     beyond_across = np.abs(across) - parameters[:, WIDTH, None] / 2
     is_end = beyond_along > beyond_across
     distance = np.where(is_end, beyond_along, beyond_across)
-    sigma = np.where(distance > 0, OUTSIDE_M, INSIDE_M)
+    sigma = np.where(distance > 0, OUTSIDE_M, target.inside_m)
     squared = (distance / sigma) ** 2
     cost = (target.weights * POINT_CAP * squared / (POINT_CAP + squared)).sum(1)
     # Derivative of the capped cost by the squared residual, as a weight of the plain one.

@@ -9,7 +9,7 @@ there.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -22,8 +22,7 @@ from boxlift.tracking.sightings import Sighting
 _GATE = 3.0
 # Accelerations that road users have, and speeds they may have when they are first seen.
 _ACCELERATION_M_S2 = 3.0
-_SPEED_M_S = {"people": 2.0, "others": 8.0}
-_TALL = 1.2
+_SPEED_M_S, _PEOPLES_SPEED_M_S = 8.0, 2.0
 # What is hidden for longer is found again only where it stands; the motion of a track that has few boxes is
 # not known for so long.
 _LONGEST_GAP_S, _GAP_PER_SIGHTING_S = 1.5, 0.25
@@ -43,9 +42,9 @@ class Track:
     @property
     def category(self) -> str:
         """The class that most of its boxes have, by score."""
-        votes: Counter[str] = Counter()
+        votes: defaultdict[str, float] = defaultdict(float)
         for each in self.sightings:
-            votes[each.category] += each.score + 1e-6  # type: ignore[assignment]
+            votes[each.category] += each.score
         return max(sorted(votes), key=lambda name: votes[name])
 
 
@@ -60,8 +59,7 @@ class _Filter:
 
     @classmethod
     def begun(cls, sighting: Sighting, time_s: float) -> _Filter:
-        length_m, _, height_m = sighting.lwh_m
-        speed = _SPEED_M_S["people" if height_m > _TALL * length_m else "others"]
+        speed = _PEOPLES_SPEED_M_S if sighting.is_upright else _SPEED_M_S
         return cls(
             np.stack([sighting.center_world[:2], np.zeros(2)]),
             np.diag([sighting.sigma_m**2, speed**2]),

@@ -17,6 +17,7 @@ from boxlift.poses import Floats
 
 # Where a data set has no times its sweeps are taken for as far apart as those of most LiDARs.
 SWEEP_PERIOD_S = 0.1
+_UPRIGHT = 1.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class Sighting:
 
     sweep: its number. members: (number of the frame within the sweep, number of the object within its frame)
     of every view that has the box. center_world: (3,). heading_rad: about the world's z, from x; front and
-    back are not told apart. range_m: from the ego frame's origin.
+    back are not told apart. range_m: from the ego frame's origin. is_cut: by the image's border.
     """
 
     sweep: int
@@ -50,11 +51,17 @@ class Sighting:
     heading_rad: float
     lwh_m: tuple[float, float, float]
     range_m: float
+    is_cut: bool = False
 
     @property
     def sigma_m(self) -> float:
-        """How far its centre may be off (ours): far and doubtful boxes farther."""
-        return 0.25 + 0.01 * self.range_m + 0.5 * (1 - self.score)
+        """How far its centre may be off (ours): far, doubtful and cut boxes farther."""
+        return 0.25 + 0.01 * self.range_m + 0.5 * (1 - self.score) + 0.5 * self.is_cut
+
+    @property
+    def is_upright(self) -> bool:
+        """Whether it is taller than long, as people are."""
+        return self.lwh_m[2] > _UPRIGHT * self.lwh_m[0]
 
 
 def up_of(frames: Sequence[FrameDetails], world_SE3_ego: Floats) -> Floats:
@@ -87,6 +94,7 @@ def sightings_of(number: int, frames: Sequence[FrameDetails], world_SE3_ego: Flo
                 heading_rad=float(np.arctan2(heading[1], heading[0])),
                 lwh_m=(best.length_m, best.width_m, best.height_m),
                 range_m=float(np.linalg.norm(best.center_ego)),
+                is_cut="truncated" in best.flags,
             )
         )
     return sightings

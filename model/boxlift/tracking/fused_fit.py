@@ -1,0 +1,272 @@
+"""One box from what many frames saw: the paper's losses on all points, then a polish against all prompts.
+
+Everything is taken into the object's frame (x front, y down, z left; see paths.py), in which an object stands
+still whether it moved or not. The rays of the ray-tracing loss start where each frame's did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boxlift.accurate.evidence import weigh
+from boxlift.accurate.parameters import BOTTOM, HEIGHT, LENGTH, WIDTH, YAW, X, Z, to_boxes
+from boxlift.accurate.polish import (
+    POINTS_WORTH,
+    SizePull,
+    Target,
+    Viewpoint,
+    outline_distance,
+    point_weights,
+    polish,
+)
+from boxlift.accurate.weights import EVIDENCE_WEIGHTS
+from boxlift.boxes import wrap_angle
+from boxlift.extras import open3d
+from boxlift.fit import FitProblem, fit_boxes
+from boxlift.frame import LossTerms
+from boxlift.overlap import bev_iou_matrix
+from boxlift.poses import Floats, inverse
+from boxlift.settings import LabellerSettings
+from boxlift.tracking.glimpses import Glimpse, moved
+from boxlift.tracking.paths import Path
+
+_MOST_VIEWS = 12
+_STEPS = 15
+# Points in the uppermost fifth are inside the outline seen from above (windows, roof).
+_OUTLINE_SHARE = 0.8
+# Boxes of single frames that are tried as starts, beside what most of them say.
+_STARTS = 4
+# What a hypothesis that overlaps all boxes of the single frames has over one that overlaps none, in the
+# polish's squares of standard deviations.
+_VOTES_WORTH = 10.0
+# n frames weigh as much as n to this power: their errors are alike.
+_MORE = 0.25
+# What lies farther from the middle of the object than this is not looked at.
+_AROUND_M = 8.0
+_CELL_M = 0.1
+# Things farther apart than this are two. Of an object's cells this share lies in its box, give or take.
+_APART_M, _OWN_SHARE, _NEAR_M = 0.45, 0.6, 0.4
+_ROUNDS = 2
+# Seen from many sides an object shows more of what lies within its outline than to one frame.
+_INSIDE_M = 0.5
+_FEWEST_POINTS = 3
+
+
+@dataclass(frozen=True)
+class FusedBox:
+    """A box (7,) in the object's frame, the losses there, and how many points it was fitted to."""
+
+    parameters: Floats
+    losses: LossTerms | None
+    points: int
+
+
+@dataclass(frozen=True)
+class _Cloud:
+    """What all frames saw around the object, thinned: (N, 3) means of the points in cells seen from above.
+
+    origins: (N, 3) where the ray of one of them starts. group: (N,) number of the thing that a cell belongs
+    to, -1 for none. All in the object's frame.
+    """
+
+    points: Floats
+    origins: Floats
+    group: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, glimpses: Sequence[Glimpse], path: Path, bottom: float, height_m: float, ray_origin: str) -> _Cloud:
+        """The points that are not windows or roof, for these lie inside the outline."""
+        points, origins = [np.empty((0, 3))], [np.empty((0, 3))]
+        for each in glimpses:
+            object_SE3_world = inverse(path.world_SE3_object(each.sweep))
+            seen = moved(object_SE3_world, each.points_world)
+            near = (np.hypot(seen[:, 0], seen[:, 2]) < _AROUND_M) & (
+                bottom - seen[:, 1] < _OUTLINE_SHARE * height_m
+            )
+            points.append(seen[near])
+            origin = moved(object_SE3_world, each.origin_world(ray_origin))
+            origins.append(np.broadcast_to(origin, points[-1].shape))
+        thinned, rows = _means_of_cells(np.concatenate(points))
+        return cls(thinned, np.concatenate(origins)[rows], _groups(thinned))
+
+    def on(self, box: Floats) -> NDArray[np.bool_]:
+        """(N,) the cells of a box (7,): near its outline or inside, and not of something that mostly is not."""
+        near = outline_distance(box[None], self.points[:, [0, 2]])[0] < _NEAR_M
+        foreign = [
+            group for group in np.unique(self.group[near]) if near[self.group == group].mean() < _OWN_SHARE
+        ]
+        own: NDArray[np.bool_] = near & ~np.isin(self.group, foreign)
+        return own if own.sum() >= _FEWEST_POINTS else near
+
+
+def _means_of_cells(points: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    """(N, 3) -> (C, 3) means by cell seen from above, and a row of each."""
+    cells = np.floor(points[:, [0, 2]] / _CELL_M).astype(np.int64)
+    _, rows, inverse_rows, counts = np.unique(
+        cells, axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    sums = np.zeros((len(rows), 3))
+    np.add.at(sums, inverse_rows.reshape(-1), points)
+    return sums / counts[:, None], rows
+
+
+def _groups(points: Floats) -> NDArray[np.intp]:
+    """(N,) things apart from each other, by DBSCAN as everywhere else."""
+    if len(points) == 0:
+        return np.empty(0, dtype=np.intp)
+    o3d = open3d()
+    flat = points * np.array([1.0, 0.0, 1.0])
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(flat))
+    return np.asarray(cloud.cluster_dbscan(_APART_M, 2), dtype=np.intp)
+
+
+def fit_fused(
+    glimpses: Sequence[Glimpse],
+    path: Path,
+    boxes: Floats,
+    scores: Floats,
+    size: SizePull,
+    settings: LabellerSettings,
+) -> FusedBox:
+    """The box of an object from what frames saw of it.
+
+    boxes (S, 7), scores (S,): what single frames made of it, in the object's frame.
+    """
+    starts = _starts(boxes, scores, size)
+    bottom, height_m = float(starts[0, BOTTOM]), float(starts[0, HEIGHT])
+    cloud = _Cloud.of(glimpses, path, bottom, height_m, settings.loss.ray_origin)
+    own = [cloud.on(start) for start in starts]
+    starts = starts[[mask.sum() >= _FEWEST_POINTS for mask in own]]
+    own = [mask for mask in own if mask.sum() >= _FEWEST_POINTS]
+    if len(starts) == 0:
+        return FusedBox(_starts(boxes, scores, size)[0], None, 0)
+    starts, losses = _fitted(starts, own, cloud, settings)
+    views = _evenly(glimpses, _MOST_VIEWS)
+    for _ in range(_ROUNDS):
+        target, viewpoints = _target(cloud, own, views, path, starts, size, settings)
+        starts, _ = polish(starts, target, viewpoints, _STEPS)
+        own = [cloud.on(start) for start in starts]
+    energy = np.mean([_energy(each, path, starts, size, settings) for each in views], axis=0)
+    votes = bev_iou_matrix(to_boxes(starts), to_boxes(boxes)) @ scores / max(float(scores.sum()), 1e-9)
+    best = int((energy - _VOTES_WORTH * votes).argmin())
+    return FusedBox(starts[best], losses[best], int(own[best].sum()))
+
+
+def _energy(
+    seen: Glimpse, path: Path, parameters: Floats, size: SizePull, settings: LabellerSettings
+) -> Floats:
+    """(B,) what one frame has against boxes (B, 7), as in the labelling of single frames."""
+    cam_SE3_object = inverse(seen.world_SE3_cam) @ path.world_SE3_object(seen.sweep)
+    in_camera = transformed(parameters, cam_SE3_object)
+    use_edges = settings.repairs is None or settings.repairs.edges
+    return weigh(seen.view, seen.region, in_camera, size, use_edges=use_edges).energy(EVIDENCE_WEIGHTS)
+
+
+def transformed(parameters: Floats, a_SE3_b: Floats) -> Floats:
+    """Boxes (B, 7) of frame b -> in frame a, upright there: of a heading its x-z part counts."""
+    x, z, yaw, _, _, _, bottom = parameters.T
+    places = moved(a_SE3_b, np.stack([x, bottom, z], axis=1))
+    flat = np.zeros_like(yaw)
+    headings = np.stack([np.cos(yaw), flat, -np.sin(yaw)], axis=1) @ a_SE3_b[:3, :3].T
+    in_a = parameters.copy()
+    in_a[:, X], in_a[:, BOTTOM], in_a[:, Z] = places.T
+    in_a[:, YAW] = np.arctan2(-headings[:, 2], headings[:, 0])
+    return in_a
+
+
+def _starts(boxes: Floats, scores: Floats, size: SizePull) -> Floats:
+    """(B, 7) what most frames say, the same turned by a right angle, and the most trusted frames."""
+    common = np.array([_weighted_median(column, scores) for column in boxes.T])
+    # Headings wrap: those that look like the frame's own are near 0, front and back alike.
+    common[YAW] = 0.0
+    turned = common.copy()
+    turned[YAW] = np.pi / 2
+    turned[LENGTH : HEIGHT + 1] = size.lwh_m
+    trusted = boxes[np.argsort(-scores, kind="stable")[:_STARTS]]
+    starts = np.concatenate([common[None], turned[None], trusted])
+    starts[:, YAW] = wrap_angle(2 * starts[:, YAW]) / 2
+    return starts
+
+
+def _fitted(
+    starts: Floats, own: Sequence[NDArray[np.bool_]], cloud: _Cloud, settings: LabellerSettings
+) -> tuple[Floats, list[LossTerms]]:
+    """The starts moved to the minimum of the paper's losses near them, size and heading frozen."""
+    most = settings.points.sample_count
+    problems = []
+    for start, mask in zip(starts, own, strict=True):
+        rows = np.flatnonzero(mask)
+        rows = rows[:: -(-len(rows) // most)]
+        problems.append(
+            FitProblem(
+                points_xz=cloud.points[rows][:, [0, 2]],
+                length_m=float(start[LENGTH]),
+                width_m=float(start[WIDTH]),
+                rotation_y=float(start[YAW]),
+                origin_xz=cloud.origins[rows][:, [0, 2]],
+                start_xz=start[[X, Z]],
+            )
+        )
+    solutions = fit_boxes(problems, settings.fit, settings.loss, most)
+    moved_starts = starts.copy()
+    moved_starts[:, [X, Z]] = [solution.center_xz for solution in solutions]
+    return moved_starts, [solution.losses for solution in solutions]
+
+
+def _target(
+    cloud: _Cloud,
+    own: Sequence[NDArray[np.bool_]],
+    views: Sequence[Glimpse],
+    path: Path,
+    starts: Floats,
+    size: SizePull,
+    settings: LabellerSettings,
+) -> tuple[Target, list[Viewpoint]]:
+    """What the polish pulls to. Errors of one object's frames are alike: n of them count as the root of n."""
+    more = len(views) ** _MORE
+    bottom, is_known = _ground(views, path, float(starts[0, BOTTOM]))
+    boxes_px = np.array([each.region.box_px for each in views])
+    targets = []
+    for mask in own:
+        points_xz = cloud.points[mask][:, [0, 2]]
+        weights = point_weights(points_xz, settings.loss.density_radius_m, POINTS_WORTH * more)
+        targets.append(
+            Target.of_one(points_xz, weights, boxes_px, size, np.array([bottom]), np.array([is_known]))
+        )
+    use_edges = settings.repairs is None or settings.repairs.edges
+    viewpoints = [
+        Viewpoint(
+            each.image_P_world @ path.world_SE3_object(each.sweep),
+            each.view.frame.image_size_px,
+            use_edges * more / len(views),
+        )
+        for each in views
+    ]
+    return replace(Target.joined(targets), inside_m=_INSIDE_M), viewpoints
+
+
+def _ground(views: Sequence[Glimpse], path: Path, bottom: float) -> tuple[float, bool]:
+    """y of the ground under the object where frames saw it, else its bottom; and whether they did."""
+    grounds = []
+    for each in views:
+        world_SE3_object = path.world_SE3_object(each.sweep)
+        ground_world, is_known = each.ground_world(moved(world_SE3_object, np.array([0, bottom, 0])))
+        if is_known:
+            grounds.append(moved(inverse(world_SE3_object), ground_world)[1])
+    return (float(np.median(grounds)), True) if grounds else (bottom, False)
+
+
+def _evenly(views: Sequence[Glimpse], count: int) -> list[Glimpse]:
+    if len(views) <= count:
+        return list(views)
+    return [views[row] for row in np.linspace(0, len(views) - 1, count).round().astype(int)]
+
+
+def _weighted_median(values: Floats, weights: Floats) -> float:
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)])

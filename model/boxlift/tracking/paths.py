@@ -1,0 +1,225 @@
+"""Where an object was at every sweep of its track: one place if it stood, a smooth path if it moved.
+
+A path is smoothed by a Kalman filter of constant velocity that runs forwards and back (Rauch, Tung and
+Striebel, 1965), three times over, boxes far off it counting less each time. Along a path an object looks
+where it goes; the headings of its boxes, which do not tell front from back, say the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from boxlift.boxes import wrap_angle
+from boxlift.poses import Floats, pose
+from boxlift.tracking.linking import Track
+from boxlift.tracking.sightings import DriveSweep, Sighting
+
+_ROUNDS = 4
+# A box this many standard deviations off counts half.
+_HALF_AT = 2.0
+_ACCELERATION_M_S2 = 2.0
+_TURN_RAD_S2 = 0.5
+# Standing are those whose boxes moved by less than this, or less than their errors, from the first third of
+# the track to the last; or crept at a speed that drifting boxes have.
+_STILL_M, _STILL_SIGMAS = 1.0, 4.0
+_CREEP_M_S, _CREPT_M = 0.5, 2.5
+# People stand closer to where they stood, by this share.
+_PEOPLE = 0.5
+# Slower than this, direction of motion says nothing of the heading.
+_SLOW_M_S = 1.0
+_HEADING_RAD = np.deg2rad(6.0)
+
+
+class Motion(StrEnum):
+    """What a track did; of a single box nobody knows."""
+
+    STATIC = "static"
+    MOVING = "moving"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True)
+class Path:
+    """Poses of an object's frame: x to the front, y down, z to the left, at the middle of its bottom.
+
+    first, last: sweeps between which they are known; of a standing object there is one for all sweeps.
+    bottom_world, axes_world (K, 3) and (K, 3, 3). knows_front: whether motion told front from back.
+    """
+
+    motion: Motion
+    first: int
+    last: int
+    bottom_world: Floats
+    axes_world: Floats
+    knows_front: bool
+
+    @property
+    def stands(self) -> bool:
+        """Whether one pose is that of all sweeps."""
+        return len(self.bottom_world) == 1
+
+    def world_SE3_object(self, sweep: int) -> Floats:
+        """(4, 4) at a sweep between first and last; of a standing object at any."""
+        row = 0 if self.stands else sweep - self.first
+        return pose(self.axes_world[row], self.bottom_world[row])
+
+
+def path_of(track: Track, sweeps: Sequence[DriveSweep]) -> Path:
+    """The path that the boxes of a track show."""
+    sightings = track.sightings
+    if len(sightings) == 1:
+        return _standing(sightings, sweeps, Motion.UNKNOWN)
+    return _moving(sightings, sweeps) if _moves(sightings, sweeps) else _standing(sightings, sweeps)
+
+
+def _moves(sightings: Sequence[Sighting], sweeps: Sequence[DriveSweep]) -> bool:
+    third = -(-len(sightings) // 3)
+    ends = sightings[:third], sightings[-third:]
+    (start, start_sigma), (end, end_sigma) = (_robust_mean(each) for each in ends)
+    moved_m = float(np.linalg.norm((end - start)[:2]))
+    times = [float(np.mean([sweeps[each.sweep].time_s for each in part])) for part in ends]
+    speed = moved_m / max(times[1] - times[0], 1e-3)
+    smaller = _PEOPLE if sightings[0].is_upright else 1.0
+    sure = moved_m > max(smaller * _STILL_M, _STILL_SIGMAS * float(np.hypot(start_sigma, end_sigma)))
+    return sure and (speed > smaller * _CREEP_M_S or moved_m > smaller * _CREPT_M)
+
+
+def _robust_mean(sightings: Sequence[Sighting]) -> tuple[Floats, float]:
+    """Middle (3,) of the bottoms of boxes, and its standard deviation in metres."""
+    bottoms = np.array([_bottom(each) for each in sightings])
+    sigma = np.array([each.sigma_m for each in sightings])
+    weights = sigma**-2
+    middle = bottoms[0]
+    for _ in range(_ROUNDS):
+        middle = weights @ bottoms / weights.sum()
+        off = np.linalg.norm((bottoms - middle)[:, :2], axis=1) / sigma
+        weights = sigma**-2 / (1 + (off / _HALF_AT) ** 2)
+    spread = np.sqrt(weights @ ((bottoms - middle)[:, :2] ** 2).sum(1) / weights.sum())
+    # Boxes of neighbouring sweeps err alike: as if every fourth told something new.
+    return middle, float(max(spread, sigma.min()) / np.sqrt(max(len(sightings) / 4, 1)))
+
+
+def _bottom(sighting: Sighting) -> Floats:
+    return sighting.center_world - np.array([0, 0, sighting.lwh_m[2] / 2])
+
+
+def _standing(
+    sightings: Sequence[Sighting], sweeps: Sequence[DriveSweep], motion: Motion = Motion.STATIC
+) -> Path:
+    bottom, _ = _robust_mean(sightings)
+    up = np.mean([sweeps[each.sweep].up_world for each in sightings], axis=0)
+    heading = _common_axis(sightings)
+    first, last = sightings[0].sweep, sightings[-1].sweep
+    return Path(motion, first, last, bottom[None], _axes(np.array([heading]), up[None]), knows_front=False)
+
+
+def _common_axis(sightings: Sequence[Sighting]) -> float:
+    """The heading that most boxes have, front and back alike, the way most of them look."""
+    headings = np.array([each.heading_rad for each in sightings])
+    worth = np.array([each.score / each.sigma_m**2 for each in sightings]) + 1e-9
+    # Every box votes for those that are turned against it by little.
+    turned = np.abs(wrap_angle(2 * (headings[:, None] - headings[None]))) / 2
+    best = headings[int((worth / (1 + (turned / _HEADING_RAD) ** 2)).sum(1).argmax())]
+    weights = worth / (1 + (wrap_angle(2 * (headings - best)) / 2 / _HEADING_RAD) ** 2)
+    axis = best + weights @ (wrap_angle(2 * (headings - best)) / 2) / weights.sum()
+    looks = float(worth @ np.cos(headings - axis))
+    return float(axis if looks >= 0 else axis + np.pi)
+
+
+def _moving(sightings: Sequence[Sighting], sweeps: Sequence[DriveSweep]) -> Path:
+    first, last = sightings[0].sweep, sightings[-1].sweep
+    times = np.array([sweep.time_s for sweep in sweeps[first : last + 1]])
+    rows = np.array([each.sweep - first for each in sightings])
+    sigma = np.array([each.sigma_m for each in sightings])
+    bottoms = np.array([_bottom(each) for each in sightings])
+    places, speeds = smooth(times, rows, bottoms, sigma, _ACCELERATION_M_S2)
+    headings = _headings(times, rows, sightings, speeds[:, :2])
+    ups = np.array([sweep.up_world for sweep in sweeps[first : last + 1]])
+    return Path(Motion.MOVING, first, last, places, _axes(headings, ups), knows_front=True)
+
+
+def _headings(
+    times: Floats, rows: Floats, sightings: Sequence[Sighting], velocity_m_s: Floats
+) -> Floats:
+    """(K,) headings along a path from the direction of motion and the axes of the boxes."""
+    speed = np.linalg.norm(velocity_m_s, axis=1)
+    direction = np.arctan2(velocity_m_s[:, 1], velocity_m_s[:, 0])
+    fast = np.flatnonzero(speed > min(_SLOW_M_S, 0.7 * float(speed.max())))
+    # Where it is slow it looks as when it was last fast.
+    nearest = fast[np.abs(fast[None] - np.arange(len(times))[:, None]).argmin(1)]
+    ahead = np.unwrap(direction[nearest])
+    measured_rows, values, sigmas = [], [], []
+    for row in fast:
+        measured_rows.append(int(row))
+        values.append(float(ahead[row]))
+        sigmas.append(max(0.3 / float(speed[row]), 0.05))
+    for row, each in zip(rows.tolist(), sightings, strict=True):
+        axis = ahead[row] + float(wrap_angle(np.array(2 * (each.heading_rad - ahead[row])))) / 2
+        measured_rows.append(int(row))
+        values.append(axis)
+        sigmas.append(_HEADING_RAD / max(each.score, 0.1))
+    order = np.argsort(measured_rows, kind="stable")
+    headings, _ = smooth(
+        times,
+        np.array(measured_rows)[order],
+        np.array(values)[order, None],
+        np.array(sigmas)[order],
+        _TURN_RAD_S2,
+    )
+    return headings[:, 0]
+
+
+def smooth(
+    times: Floats, rows: Floats, values: Floats, sigmas: Floats, acceleration: float
+) -> tuple[Floats, Floats]:
+    """Values (M, D) with sigmas (M,), measured at times[rows], rows ascending -> values and velocities
+    (K, D) at all times (K,)."""
+    scale = np.ones(len(values))
+    places, speeds = _rts(times, rows, values, sigmas, acceleration)
+    for _ in range(_ROUNDS - 1):
+        off = np.linalg.norm(values - places[rows], axis=1) / sigmas
+        scale = np.sqrt(1 + (off / _HALF_AT) ** 2)
+        places, speeds = _rts(times, rows, values, sigmas * scale, acceleration)
+    return places, speeds
+
+
+def _rts(
+    times: Floats, rows: Floats, values: Floats, sigmas: Floats, acceleration: float
+) -> tuple[Floats, Floats]:
+    count, dimensions = len(times), values.shape[1]
+    mean, covariance = np.zeros((2, dimensions)), np.diag([1e6, 1e4])
+    mean[0] = values[0]
+    means, covariances = np.empty((count, 2, dimensions)), np.empty((count, 2, 2))
+    predicted_means, predicted = np.empty_like(means), np.empty_like(covariances)
+    transitions = np.empty((count, 2, 2))
+    measured = 0
+    for k in range(count):
+        step = float(times[k] - times[k - 1]) if k else 0.0
+        transitions[k] = np.array([[1, step], [0, 1]])
+        noise = np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]]) * acceleration**2
+        mean = transitions[k] @ mean
+        covariance = transitions[k] @ covariance @ transitions[k].T + noise
+        predicted_means[k], predicted[k] = mean, covariance
+        while measured < len(rows) and rows[measured] == k:
+            gain = covariance[:, 0] / (covariance[0, 0] + sigmas[measured] ** 2)
+            mean = mean + np.outer(gain, values[measured] - mean[0])
+            covariance = covariance - np.outer(gain, covariance[0])
+            measured += 1
+        means[k], covariances[k] = mean, covariance
+    for k in range(count - 2, -1, -1):
+        back = covariances[k] @ transitions[k + 1].T @ np.linalg.inv(predicted[k + 1])
+        means[k] += back @ (means[k + 1] - predicted_means[k + 1])
+    return means[:, 0], means[:, 1]
+
+
+def _axes(headings_rad: Floats, ups_world: Floats) -> Floats:
+    """(K, 3, 3) axes of object frames as columns: front, down, left."""
+    down = -ups_world / np.linalg.norm(ups_world, axis=1, keepdims=True)
+    flat = np.stack([np.cos(headings_rad), np.sin(headings_rad), np.zeros_like(headings_rad)], axis=1)
+    front = flat - (flat * down).sum(1, keepdims=True) * down
+    front /= np.linalg.norm(front, axis=1, keepdims=True)
+    return np.stack([front, down, np.cross(front, down)], axis=2)
