@@ -98,6 +98,10 @@ class Result(Enum):
     NO_OBJECT = (
         "Nothing here looks like a {category}: what the camera and the LiDAR saw disagrees ({reason})."
     )
+    TRACKED = "Other frames of the drive show this object."
+    FILLED = (
+        "There is no prompt here, but other frames of the drive show an object, and LiDAR points lie on it."
+    )
     PREDICTED = "The model predicted a box."
     CLASS_NOT_IN_MODEL = "The model does not know the class {category!r} (it knows {known})."
     ABSURD_PREDICTION = "What the model gave for this object is no 3D box ({reason})."

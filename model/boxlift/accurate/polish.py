@@ -99,10 +99,10 @@ class Target:
         return cls(
             np.concatenate([padded(target.points_xz) for target in targets]),
             np.concatenate([padded(target.weights) for target in targets]),
-            *(
-                np.concatenate([getattr(target, name) for target in targets])
+            **{
+                name: np.concatenate([getattr(target, name) for target in targets])
                 for name in ("box_px", "lwh_m", "sigma_m", "bottom_y", "bottom_sigma_m")
-            ),
+            },
             inside_m=targets[0].inside_m,
         )
 

@@ -13,7 +13,7 @@ from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 from boxlift.boxes import Boxes3D
 from boxlift.formats import kitti_label
 from boxlift.formats.kitti_label import KittiObject, object_of
-from boxlift.frame import FrameLabels, Hypothesis, LossTerms, ObjectLabel, PointCounts
+from boxlift.frame import FrameLabels, Hypothesis, LossTerms, ObjectLabel, PointCounts, Result
 from boxlift.sweep import SweepView
 
 
@@ -71,6 +71,14 @@ class RejectedDetails(_Details):
     losses: LossDetails | None = Field(description="None: too few points for a fit of its own.")
 
 
+class TrackDetails(_Details):
+    """The track that an object is part of, see `boxlift track`."""
+
+    id: int = Field(description="The same for the same object in all frames of its drive, from 1.")
+    motion: str = Field(description="static, moving, or unknown.")
+    sightings: int = Field(description="Sweeps in which it was labelled from the sweep itself.")
+
+
 class ObjectDetails(_Details):
     """What became of one prompt."""
 
@@ -101,6 +109,7 @@ class ObjectDetails(_Details):
     losses: LossDetails | None
     points: PointDetails
     rejected: tuple[RejectedDetails, ...]
+    track: TrackDetails | None = Field(None, description="null: no drive was looked at.")
 
 
 class WarningDetails(_Details):
@@ -220,6 +229,50 @@ def object_details_of(label: ObjectLabel) -> ObjectDetails:
         losses=None if label.losses is None else _losses(label.losses),
         points=_points(label.points),
         rejected=tuple(_rejected(hypothesis) for hypothesis in label.rejected),
+    )
+
+
+def with_box(
+    item: ObjectDetails,
+    box: Boxes3D | None,
+    score: float,
+    flags: tuple[str, ...],
+    track: TrackDetails,
+    result: Result = Result.FITTED,
+) -> ObjectDetails:
+    """An object as its track has it: with that box (None: its own), and its own as a rejected one."""
+    changes: dict[str, object] = {"score": _rounded(score), "flags": flags, "track": track}
+    if box is not None:
+        changes |= {"box": _box(box), "losses": None, "result": result.name, "sentence": result.value}
+        if item.box is not None:
+            own = RejectedDetails(reason="What this frame alone says.", box=item.box, losses=item.losses)
+            changes["rejected"] = (own, *item.rejected)
+        written = kitti_label.from_box3d(item.category, item.prompt_box_px, box, score)
+        changes["kitti"] = _kitti(written)
+    elif item.kitti is not None:
+        changes["kitti"] = item.kitti.model_copy(update={"score": _rounded(score)})
+    return item.model_copy(update=changes)
+
+
+def object_without_prompt(
+    index: int, category: str, outline_px: tuple[float, float, float, float], points: PointDetails
+) -> ObjectDetails:
+    """What stands in for a prompt where there was none: the outline of a box that other frames gave."""
+    x1, y1, x2, y2 = (_rounded(edge, 2) for edge in outline_px)
+    return ObjectDetails(
+        index=index,
+        category=category,
+        prompt_box_px=(x1, y1, x2, y2),
+        prompt_score=0.0,
+        result=Result.FILLED.name,
+        sentence=Result.FILLED.value,
+        score=0.0,
+        flags=(),
+        box=None,
+        kitti=None,
+        losses=None,
+        points=points,
+        rejected=(),
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boxlift.accurate.evidence import weigh
-from boxlift.accurate.parameters import BOTTOM, HEIGHT, LENGTH, WIDTH, YAW, X, Z, to_boxes
+from boxlift.accurate.parameters import BOTTOM, HEIGHT, LENGTH, WIDTH, YAW, X, Z, to_box_frame, to_boxes
 from boxlift.accurate.polish import (
     POINTS_WORTH,
     SizePull,
@@ -36,13 +36,14 @@ from boxlift.tracking.paths import Path
 
 _MOST_VIEWS = 12
 _STEPS = 15
-# Points in the uppermost fifth are inside the outline seen from above (windows, roof).
+# Points in the uppermost fifth are inside the outline (windows, roof).
 _OUTLINE_SHARE = 0.8
 # Boxes of single frames that are tried as starts, beside what most of them say.
 _STARTS = 4
-# What a hypothesis that overlaps all boxes of the single frames has over one that overlaps none, in the
-# polish's squares of standard deviations.
-_VOTES_WORTH = 10.0
+# What a hypothesis that overlaps all boxes of the single frames has over one that overlaps none (ours).
+_AGREEMENT_WORTH = 10.0
+# Sides of which the points show less than this share say nothing of the size.
+_SEEN_SHARE = 0.6
 # n frames weigh as much as n to this power: their errors are alike.
 _MORE = 0.25
 # What lies farther from the middle of the object than this is not looked at.
@@ -58,11 +59,20 @@ _FEWEST_POINTS = 3
 
 @dataclass(frozen=True)
 class FusedBox:
-    """A box (7,) in the object's frame, the losses there, and how many points it was fitted to."""
+    """A box (7,) in the object's frame.
+
+    losses: the paper's, at the minimum that the polish began at; None with too few points for a fit. points:
+    cells of points that it was fitted to. agreement: mean overlap seen from above with the boxes of the
+    single frames, by score. energy: what the frames have against it, on average; None without points.
+    shows_size: whether the points reach along most of its length and of its width.
+    """
 
     parameters: Floats
     losses: LossTerms | None
     points: int
+    agreement: float
+    energy: float | None
+    shows_size: bool
 
 
 @dataclass(frozen=True)
@@ -78,8 +88,10 @@ class _Cloud:
     group: NDArray[np.intp]
 
     @classmethod
-    def of(cls, glimpses: Sequence[Glimpse], path: Path, bottom: float, height_m: float, ray_origin: str) -> _Cloud:
-        """The points that are not windows or roof, for these lie inside the outline."""
+    def of(
+        cls, glimpses: Sequence[Glimpse], path: Path, bottom: float, height_m: float, ray_origin: str
+    ) -> _Cloud:
+        """The points that are not windows or roof, which lie inside the outline."""
         points, origins = [np.empty((0, 3))], [np.empty((0, 3))]
         for each in glimpses:
             object_SE3_world = inverse(path.world_SE3_object(each.sweep))
@@ -94,7 +106,7 @@ class _Cloud:
         return cls(thinned, np.concatenate(origins)[rows], _groups(thinned))
 
     def on(self, box: Floats) -> NDArray[np.bool_]:
-        """(N,) the cells of a box (7,): near its outline or inside, and not of something that mostly is not."""
+        """(N,) the cells in a box (7,) or near it, but for those of things that mostly are not."""
         near = outline_distance(box[None], self.points[:, [0, 2]])[0] < _NEAR_M
         foreign = [
             group for group in np.unique(self.group[near]) if near[self.group == group].mean() < _OWN_SHARE
@@ -140,20 +152,41 @@ def fit_fused(
     bottom, height_m = float(starts[0, BOTTOM]), float(starts[0, HEIGHT])
     cloud = _Cloud.of(glimpses, path, bottom, height_m, settings.loss.ray_origin)
     own = [cloud.on(start) for start in starts]
-    starts = starts[[mask.sum() >= _FEWEST_POINTS for mask in own]]
+    enough = [mask.sum() >= _FEWEST_POINTS for mask in own]
+    if not any(enough):
+        agreement = float(_agreement(starts[:1], boxes, scores)[0])
+        return FusedBox(starts[0], None, 0, agreement, None, shows_size=False)
     own = [mask for mask in own if mask.sum() >= _FEWEST_POINTS]
-    if len(starts) == 0:
-        return FusedBox(_starts(boxes, scores, size)[0], None, 0)
-    starts, losses = _fitted(starts, own, cloud, settings)
+    starts, losses = _fitted(starts[enough], own, cloud, settings)
     views = _evenly(glimpses, _MOST_VIEWS)
     for _ in range(_ROUNDS):
         target, viewpoints = _target(cloud, own, views, path, starts, size, settings)
         starts, _ = polish(starts, target, viewpoints, _STEPS)
         own = [cloud.on(start) for start in starts]
     energy = np.mean([_energy(each, path, starts, size, settings) for each in views], axis=0)
-    votes = bev_iou_matrix(to_boxes(starts), to_boxes(boxes)) @ scores / max(float(scores.sum()), 1e-9)
-    best = int((energy - _VOTES_WORTH * votes).argmin())
-    return FusedBox(starts[best], losses[best], int(own[best].sum()))
+    agreements = _agreement(starts, boxes, scores)
+    best = int((energy - _AGREEMENT_WORTH * agreements).argmin())
+    return FusedBox(
+        starts[best],
+        losses[best],
+        int(own[best].sum()),
+        float(agreements[best]),
+        float(energy[best]),
+        _shows_size(starts[best], cloud.points[own[best]]),
+    )
+
+
+def _agreement(parameters: Floats, boxes: Floats, scores: Floats) -> Floats:
+    """(B,) mean overlap of boxes (B, 7) with those of the single frames (S, 7), by score (S,)."""
+    overlap = bev_iou_matrix(to_boxes(parameters), to_boxes(boxes))
+    mean: Floats = overlap @ scores / max(float(scores.sum()), 1e-9)
+    return mean
+
+
+def _shows_size(box: Floats, points: Floats) -> bool:
+    along, across = (axis[0] for axis in to_box_frame(box[None], points[:, [0, 2]]))
+    seen = np.ptp(along) / box[LENGTH], np.ptp(across) / box[WIDTH]
+    return bool(min(seen) > _SEEN_SHARE)
 
 
 def _energy(

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 # Cells of the map: those of KISS-ICP for a range of 100 m are twice as large; half of it costs little, and
 # a car has edges.
 _VOXEL_M = 0.5
+_FEWEST_POINTS = 200
 _NEAREST_M, _FARTHEST_M = 2.5, 100.0
 # The motion before the first sweep is not known: so many are matched to learn it, and then matched again.
 _LEARNED_FROM = 10
@@ -94,8 +95,11 @@ class _Matcher:
         if told is not None and self._before is not None:
             self._pipeline.last_delta = _rigid(inverse(self._before) @ told)
         self._before = told
-        guess = self._pipeline.last_pose @ self._pipeline.last_delta
+        guess: Floats = self._pipeline.last_pose @ self._pipeline.last_delta
         points = np.ascontiguousarray(sweep.points_ego[:, :3], dtype=np.float64)
+        if len(points) < _FEWEST_POINTS:
+            self._pipeline.last_pose = _rigid(guess)
+            return guess
         self._pipeline.register_frame(points, np.empty(0))
         if told is not None and _is_far(inverse(guess) @ self._pipeline.last_pose):
             self._pipeline.last_pose = _rigid(guess)
@@ -105,9 +109,7 @@ class _Matcher:
 
 def _is_far(correction: Floats) -> bool:
     turned = np.arccos(np.clip((np.trace(correction[:3, :3]) - 1) / 2, -1, 1))
-    return bool(
-        np.linalg.norm(correction[:3, 3]) > _LARGEST_CORRECTION_M or turned > _LARGEST_CORRECTION_RAD
-    )
+    return bool(np.linalg.norm(correction[:3, 3]) > _LARGEST_CORRECTION_M or turned > _LARGEST_CORRECTION_RAD)
 
 
 def _rigid(matrix: Floats) -> Floats:

@@ -104,7 +104,8 @@ def _robust_mean(sightings: Sequence[Sighting]) -> tuple[Floats, float]:
 
 
 def _bottom(sighting: Sighting) -> Floats:
-    return sighting.center_world - np.array([0, 0, sighting.lwh_m[2] / 2])
+    bottom: Floats = sighting.center_world - np.array([0, 0, sighting.lwh_m[2] / 2])
+    return bottom
 
 
 def _standing(
@@ -142,9 +143,7 @@ def _moving(sightings: Sequence[Sighting], sweeps: Sequence[DriveSweep]) -> Path
     return Path(Motion.MOVING, first, last, places, _axes(headings, ups), knows_front=True)
 
 
-def _headings(
-    times: Floats, rows: Floats, sightings: Sequence[Sighting], velocity_m_s: Floats
-) -> Floats:
+def _headings(times: Floats, rows: Floats, sightings: Sequence[Sighting], velocity_m_s: Floats) -> Floats:
     """(K,) headings along a path from the direction of motion and the axes of the boxes."""
     speed = np.linalg.norm(velocity_m_s, axis=1)
     direction = np.arctan2(velocity_m_s[:, 1], velocity_m_s[:, 0])

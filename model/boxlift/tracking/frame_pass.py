@@ -1,0 +1,253 @@
+"""The frames of a drive once more: the boxes of its objects put into each, also where it had none itself.
+
+An object that other frames show is looked for wherever it would be in view. Where a prompt is without a box,
+or has one that no other frame confirms, and the object's outline covers it, the prompt was the object's.
+Where there is no prompt, points have to lie on the box, and few rays may go through it.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from boxlift.accurate.view import View
+from boxlift.boxes import Boxes3D
+from boxlift.camera import Floats
+from boxlift.errors import InputError
+from boxlift.formats.details import FrameDetails
+from boxlift.frame import Frame
+from boxlift.overlap import bev_intersection, iou_2d
+from boxlift.settings import LabellerSettings
+from boxlift.tracking.drive import DriveReader, camera_pose, prompts_of
+from boxlift.tracking.relabel import FilledBox, TrackedBox, relabelled
+from boxlift.tracking.sightings import DriveSweep
+from boxlift.tracking.tracked_objects import TrackedObject
+
+# Objects of so many sightings and such a mean score are looked for in other frames; standing ones this long
+# before and after they were seen.
+_FEWEST_SIGHTINGS, _LEAST_SCORE = 3, 0.2
+_LOOK_AROUND_S = 5.0
+# A track of no more sightings than this confirms nothing: its prompts may be another's.
+_UNCONFIRMED = 2
+_COVERS = 0.5
+_NEAREST_M, _FARTHEST_M = 1.0, 80.0
+# The part of the outline that has to be within the image.
+_IN_IMAGE = 0.3
+# Points on the box, and at least this share of the rays that reach its middle.
+_FEWEST_POINTS, _LEAST_ON = 3, 0.4
+_MIDDLE = 0.6
+_OFF_GROUND_M, _ON_M = 0.2, 0.15
+# A box that shares more than this of the smaller one's area with another stands where that does.
+_MAY_OVERLAP = 0.1
+
+
+@dataclass(frozen=True)
+class _Visible:
+    """An object where it would be in a frame: its box and outline (4,) px, cut to the image."""
+
+    tracked: TrackedObject
+    box: Boxes3D
+    outline_px: Floats
+
+
+def rewritten_frames(
+    sweeps: Sequence[DriveSweep],
+    objects: Sequence[TrackedObject],
+    reader: DriveReader,
+    settings: LabellerSettings,
+) -> Iterator[FrameDetails]:
+    """The details of all frames, sweep by sweep. Raises LabelFormatError, OSError."""
+    by_sweep: defaultdict[int, dict[tuple[int, int], TrackedObject]] = defaultdict(dict)
+    for each in objects:
+        for sighting in each.track.sightings:
+            for member in sighting.members:
+                by_sweep[sighting.sweep][member] = each
+    waiting = [each for each in objects if _is_sure(each)]
+    for sweep in sweeps:
+        alive = [each for each in waiting if _may_be_there(each, sweep, sweeps)]
+        for number, name in enumerate(sweep.frames):
+            details = reader.details(name)
+            own = {item: each for (view, item), each in by_sweep[sweep.number].items() if view == number}
+            missing = [each for each in alive if each not in own.values()]
+            yield _rewritten(sweep, details, own, missing, reader, settings)
+
+
+def _is_sure(tracked: TrackedObject) -> bool:
+    return (
+        tracked.fused is not None
+        and len(tracked.track.sightings) >= _FEWEST_SIGHTINGS
+        and tracked.mean_score >= _LEAST_SCORE
+    )
+
+
+def _may_be_there(tracked: TrackedObject, sweep: DriveSweep, sweeps: Sequence[DriveSweep]) -> bool:
+    """Whether its place at a sweep is known."""
+    first, last = (tracked.track.sightings[end].sweep for end in (0, -1))
+    if not tracked.path.stands:
+        return first <= sweep.number <= last
+    around_s = _LOOK_AROUND_S
+    return sweeps[first].time_s - around_s <= sweep.time_s <= sweeps[last].time_s + around_s
+
+
+def _rewritten(
+    sweep: DriveSweep,
+    details: FrameDetails,
+    own: dict[int, TrackedObject],
+    missing: Sequence[TrackedObject],
+    reader: DriveReader,
+    settings: LabellerSettings,
+) -> FrameDetails:
+    if details.view is None:
+        return details
+    world_SE3_cam = camera_pose(sweep, details)
+    boxes = {
+        item: _tracked_box(each, each.box_in(world_SE3_cam, sweep.number), details.objects[item].score)
+        for item, each in own.items()
+    }
+    try:
+        frame = reader.load(details.frame, prompts_of(details))
+    except InputError:
+        return relabelled(details, boxes, ())
+    visible = [
+        seen
+        for each in missing
+        if (seen := _visible(each, each.box_in(world_SE3_cam, sweep.number), frame)) is not None
+    ]
+    rest = []
+    for seen, item in _prompts_for(visible, details, own):
+        if item is None:
+            rest.append(seen)
+        else:
+            boxes[item] = _tracked_box(seen.tracked, seen.box, None)
+    filled = _filled(rest, frame, details, boxes, settings) if rest else []
+    return relabelled(details, boxes, filled)
+
+
+def _visible(tracked: TrackedObject, box: Boxes3D | None, frame: Frame) -> _Visible | None:
+    if box is None:
+        return None
+    center = box.center_cam
+    pixels, depth_m = frame.calibration.project(center)
+    width, height = frame.image_size_px
+    inside = (pixels[0] >= 0) & (pixels[0] < (width, height))
+    if not (_NEAREST_M < depth_m[0] < _FARTHEST_M and inside.all()):
+        return None
+    outline = box.project(frame.calibration)[0]
+    cut = outline.clip(0, np.array([width, height, width, height]) - 1.0)
+    share = np.prod(cut[2:] - cut[:2]) / max(float(np.prod(outline[2:] - outline[:2])), 1e-9)
+    return _Visible(tracked, box, cut) if share > _IN_IMAGE else None
+
+
+def _prompts_for(
+    visible: Sequence[_Visible], details: FrameDetails, own: dict[int, TrackedObject]
+) -> list[tuple[_Visible, int | None]]:
+    """The prompt of each object, of those that nobody else confirms; None where it has none."""
+    free = [
+        item
+        for item in range(len(details.objects))
+        if item not in own or len(own[item].track.sightings) <= _UNCONFIRMED
+    ]
+    prompts_px = np.array([details.objects[item].prompt_box_px for item in free]).reshape(-1, 4)
+    pairs = []
+    for row, seen in enumerate(visible):
+        overlap = iou_2d(np.broadcast_to(seen.outline_px, prompts_px.shape), prompts_px)
+        pairs += [(-float(iou), row, item) for iou, item in zip(overlap, free, strict=True) if iou > _COVERS]
+    item_of: dict[int, int] = {}
+    for _, row, item in sorted(pairs):
+        if row not in item_of and item not in item_of.values():
+            item_of[row] = item
+    return [(seen, item_of.get(row)) for row, seen in enumerate(visible)]
+
+
+def _filled(
+    visible: Sequence[_Visible],
+    frame: Frame,
+    details: FrameDetails,
+    boxes: dict[int, TrackedBox],
+    settings: LabellerSettings,
+) -> list[FilledBox]:
+    """The objects that points lie on, where no other box stands; the surest first."""
+    view = View.of(frame, settings.ground)
+    standing = [_box_of(details, item, boxes) for item in range(len(details.objects))]
+    taken = [box for box in standing if box is not None]
+    filled = []
+    for seen in sorted(visible, key=lambda each: -each.tracked.mean_score):
+        points = _points_on(view, seen)
+        if points is None or any(_overlap(seen.box, other) > _MAY_OVERLAP for other in taken):
+            continue
+        taken.append(seen.box)
+        x1, y1, x2, y2 = (float(edge) for edge in seen.outline_px)
+        filled.append(FilledBox(_tracked_box(seen.tracked, None, None), seen.box, (x1, y1, x2, y2), points))
+    return filled
+
+
+def _box_of(details: FrameDetails, item: int, boxes: dict[int, TrackedBox]) -> Boxes3D | None:
+    tracked = boxes.get(item)
+    if tracked is not None and tracked.box is not None:
+        return tracked.box
+    box = details.objects[item].box
+    if box is None:
+        return None
+    return Boxes3D(
+        np.array([box.center_cam]),
+        np.array([box.length_m]),
+        np.array([box.width_m]),
+        np.array([box.height_m]),
+        np.array([box.rotation_y]),
+    )
+
+
+def _overlap(a: Boxes3D, b: Boxes3D) -> float:
+    """Shared area as a share of the smaller box's."""
+    smaller = min(float(each.length_m[0] * each.width_m[0]) for each in (a, b))
+    return float(bev_intersection(a, b)[0]) / max(smaller, 1e-9)
+
+
+def _points_on(view: View, seen: _Visible) -> int | None:
+    """Points on a box; None where they are too few, or too many rays go through its middle."""
+    box = seen.box
+    offset = view.points_cam - box.center_cam[0]
+    cos, sin = float(np.cos(box.rotation_y[0])), float(np.sin(box.rotation_y[0]))
+    along, across = cos * offset[:, 0] - sin * offset[:, 2], sin * offset[:, 0] + cos * offset[:, 2]
+    off_ground = view.above_m > _OFF_GROUND_M
+    on = (
+        off_ground
+        & (np.abs(along) < box.length_m[0] / 2 + _ON_M)
+        & (np.abs(across) < box.width_m[0] / 2 + _ON_M)
+        & (np.abs(offset[:, 1]) < box.height_m[0] / 2 + _ON_M)
+    )
+    middle, half = (
+        (seen.outline_px[:2] + seen.outline_px[2:]) / 2,
+        np.diff(seen.outline_px.reshape(2, 2), axis=0),
+    )
+    reach = half[0] * _MIDDLE / 2
+    in_middle = view.within(middle - reach, middle + reach)
+    farther = (
+        np.hypot(*view.points_cam[:, [0, 2]].T) > np.hypot(*box.center_cam[0, [0, 2]]) + box.length_m[0] / 2
+    )
+    through = int((in_middle & farther & ~on).sum())
+    count = int(on.sum())
+    enough = count >= _FEWEST_POINTS and (on & in_middle).sum() >= _LEAST_ON * (
+        (on & in_middle).sum() + through
+    )
+    return count if enough else None
+
+
+def _tracked_box(tracked: TrackedObject, box: Boxes3D | None, own_score: float | None) -> TrackedBox:
+    """own_score: of the frame's own box; None where it had none."""
+    fused = tracked.fused
+    return TrackedBox(
+        track=tracked.number,
+        motion=tracked.motion,
+        sightings=len(tracked.track.sightings),
+        category=tracked.track.category,
+        score=tracked.score(own_score),
+        box=box,
+        knows_front=tracked.path.knows_front,
+        shows_size=fused is not None and fused.shows_size,
+        points=0 if fused is None else fused.points,
+        from_elsewhere=own_score is None,
+    )

@@ -1,0 +1,180 @@
+"""The objects of a drive: each with its track, its path, and the box that its frames agree on."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from boxlift.accurate.parameters import to_boxes
+from boxlift.accurate.pipeline import size_pull
+from boxlift.accurate.polish import SizePull
+from boxlift.accurate.view import View
+from boxlift.boxes import Boxes3D
+from boxlift.errors import InputError
+from boxlift.formats.details import FrameDetails, ObjectDetails
+from boxlift.poses import Floats, inverse
+from boxlift.settings import LabellerSettings
+from boxlift.tracking.drive import DriveReader, camera_pose, prompts_of
+from boxlift.tracking.fused_fit import FusedBox, fit_fused, transformed
+from boxlift.tracking.glimpses import Glimpse
+from boxlift.tracking.linking import Track
+from boxlift.tracking.paths import Motion, Path, path_of
+from boxlift.tracking.sightings import DriveSweep
+
+# Kept of the frames that saw one object; beyond, every other is let go.
+_MOST_GLIMPSES = 64
+# What a box keeps of its score that no other frame confirms.
+_UNCONFIRMED = 0.5
+_FROZEN_SIGMA_M = 1e-3
+# A fused box that overlaps those of the single frames by less is not theirs: they keep their own.
+_LEAST_AGREEMENT = 0.2
+
+
+@dataclass(eq=False)
+class TrackedObject:
+    """One object of a drive. fused is there once its frames have been looked at, and agree."""
+
+    number: int
+    track: Track
+    path: Path
+    fused: FusedBox | None = None
+
+    @property
+    def motion(self) -> Motion:
+        """What it did."""
+        return self.path.motion
+
+    @property
+    def mean_score(self) -> float:
+        """Of the boxes of the single frames."""
+        return float(np.mean([each.score for each in self.track.sightings]))
+
+    def score(self, own: float | None) -> float:
+        """Confidence in the box of a frame whose own box had the score `own`; None: it had none."""
+        if len(self.track.sightings) == 1:
+            return (own or 0.0) * _UNCONFIRMED
+        if self.fused is None:
+            return own or 0.0
+        return self.mean_score
+
+    def box_in(self, world_SE3_cam: Floats, sweep: int) -> Boxes3D | None:
+        """The fused box in a camera (4, 4) at a sweep, of length 1; None where there is none."""
+        if self.fused is None:
+            return None
+        cam_SE3_object = inverse(world_SE3_cam) @ self.path.world_SE3_object(sweep)
+        return to_boxes(transformed(self.fused.parameters[None], cam_SE3_object))
+
+
+@dataclass
+class _Gathered:
+    """What has been seen of an object so far: a sample of glimpses; boxes (7,) in its frame and scores."""
+
+    glimpses: list[Glimpse] = field(default_factory=list)
+    boxes: list[Floats] = field(default_factory=list)
+    scores: list[float] = field(default_factory=list)
+    stride: int = 1
+
+    def add(self, glimpse: Glimpse | None, box: Floats, score: float) -> None:
+        if glimpse is not None and len(self.boxes) % self.stride == 0:
+            self.glimpses.append(glimpse)
+        self.boxes.append(box)
+        self.scores.append(score)
+        if len(self.glimpses) > _MOST_GLIMPSES:
+            self.glimpses = self.glimpses[::2]
+            self.stride *= 2
+
+
+def tracked_objects(
+    sweeps: Sequence[DriveSweep], tracks: Sequence[Track], reader: DriveReader, settings: LabellerSettings
+) -> list[TrackedObject]:
+    """The objects of all tracks, numbered from 1, fitted to what their frames saw.
+
+    Reads every frame once and holds what was seen of an object until its last sighting. Raises
+    LabelFormatError, OSError; frames that cannot be loaded show nothing.
+    """
+    objects = [
+        TrackedObject(number, track, path_of(track, sweeps)) for number, track in enumerate(tracks, start=1)
+    ]
+    members: defaultdict[int, list[tuple[int, int, int]]] = defaultdict(list)
+    for row, each in enumerate(objects):
+        for sighting in each.track.sightings:
+            members[sighting.sweep] += [(view, item, row) for view, item in sighting.members]
+    gathered: defaultdict[int, _Gathered] = defaultdict(_Gathered)
+    for sweep in sweeps:
+        for view, details, seen in _views(sweep, members[sweep.number], reader, settings):
+            for item, row in seen:
+                _gather(gathered[row], objects[row], sweep, view, details, item, settings)
+        ended = [row for row in list(gathered) if objects[row].track.sightings[-1].sweep <= sweep.number]
+        for row in ended:
+            objects[row].fused = _fuse(objects[row], gathered.pop(row), settings)
+    return objects
+
+
+def _views(
+    sweep: DriveSweep,
+    members: Sequence[tuple[int, int, int]],
+    reader: DriveReader,
+    settings: LabellerSettings,
+) -> Iterator[tuple[View | None, FrameDetails, list[tuple[int, int]]]]:
+    """Every frame of a sweep that has boxes: what it saw, its details, and (item, row) of the boxes."""
+    for number, name in enumerate(sweep.frames):
+        seen = [(item, row) for view, item, row in members if view == number]
+        if not seen:
+            continue
+        details = reader.details(name)
+        try:
+            view = View.of(reader.load(name, prompts_of(details)), settings.ground)
+        except InputError:
+            view = None
+        yield view, details, seen
+
+
+def _gather(
+    gathered: _Gathered,
+    tracked: TrackedObject,
+    sweep: DriveSweep,
+    view: View | None,
+    details: FrameDetails,
+    item: int,
+    settings: LabellerSettings,
+) -> None:
+    labelled = details.objects[item]
+    world_SE3_cam = camera_pose(sweep, details)
+    object_SE3_cam = inverse(tracked.path.world_SE3_object(sweep.number)) @ world_SE3_cam
+    box = transformed(_parameters(labelled)[None], object_SE3_cam)[0]
+    glimpse = None
+    # A single box is all there is to know.
+    if view is not None and len(tracked.track.sightings) > 1:
+        height_m = settings.sizes[labelled.category].height_m
+        glimpse = Glimpse.of(view, item, sweep.number, world_SE3_cam, height_m, labelled.score)
+        glimpse = glimpse if len(glimpse.region.inside) else None
+    gathered.add(glimpse, box, labelled.score)
+
+
+def _parameters(labelled: ObjectDetails) -> Floats:
+    box = labelled.box
+    assert box is not None, labelled.index
+    x, y, z = box.center_cam
+    size = box.length_m, box.width_m, box.height_m
+    return np.array([x, z, box.rotation_y, *size, y + box.height_m / 2])
+
+
+def _fuse(tracked: TrackedObject, gathered: _Gathered, settings: LabellerSettings) -> FusedBox | None:
+    if not gathered.glimpses:
+        return None
+    boxes, scores = np.array(gathered.boxes), np.array(gathered.scores)
+    size = _size_pull(tracked.track.category, settings)
+    fused = fit_fused(gathered.glimpses, tracked.path, boxes, scores, size, settings)
+    return fused if fused.agreement >= _LEAST_AGREEMENT else None
+
+
+def _size_pull(category: str, settings: LabellerSettings) -> SizePull:
+    """Sizes that single frames did not refine stay frozen."""
+    prior = settings.sizes[category]
+    if settings.repairs is not None and settings.repairs.size == "refined":
+        return size_pull(prior)
+    frozen = np.array([prior.length_m, prior.width_m, prior.height_m])
+    return SizePull(frozen, np.full(3, _FROZEN_SIGMA_M))
