@@ -34,7 +34,7 @@ _EDGE_PX, _EDGE_SHARE = 2.0, 0.015
 # Edge errors beyond this many standard deviations count by their logarithm (Cauchy).
 _EDGE_CAUCHY = 2.0
 GROUND_M, _UNKNOWN_GROUND_M = 0.08, 0.3
-_YAW_RAD = 0.5
+YAW_RAD = 0.5
 _LARGEST_STEP = 0.5
 _SMALLEST_SIDE_M = 0.2
 
@@ -54,7 +54,7 @@ class Target:
     points_xz (B, M, 2) with weights (B, M), 0 where a point is padding. box_px (B, V, 4) the prompts of V
     viewpoints, cut to the image, which the projected box is cut to as well: an edge beyond the border costs
     nothing. lwh_m, sigma_m (B, 3) the size and how far it may be off. bottom_y, bottom_sigma_m (B,) the same
-    for the ground. inside_m: how far points may lie inside the outline.
+    for the ground. inside_m: how far points may lie inside the outline. yaw_rad: how far the heading may turn.
     """
 
     points_xz: Floats
@@ -65,6 +65,7 @@ class Target:
     bottom_y: Floats
     bottom_sigma_m: Floats
     inside_m: float = INSIDE_M
+    yaw_rad: float = YAW_RAD
 
     @classmethod
     def of_one(
@@ -88,7 +89,8 @@ class Target:
 
     @classmethod
     def joined(cls, targets: Sequence[Target]) -> Target:
-        """Targets one after the other, their points padded to the largest number; inside_m is one for all."""
+        """Targets one after the other, their points padded to the largest number; inside_m and yaw_rad are one
+        for all."""
         most = max(target.weights.shape[1] for target in targets)
 
         def padded(array: Floats) -> Floats:
@@ -104,6 +106,7 @@ class Target:
                 for name in ("box_px", "lwh_m", "sigma_m", "bottom_y", "bottom_sigma_m")
             },
             inside_m=targets[0].inside_m,
+            yaw_rad=targets[0].yaw_rad,
         )
 
 
@@ -237,6 +240,6 @@ def _prior_terms(parameters: Floats, start_yaw: Floats, target: Target) -> tuple
     """Priors as residuals (B, 7) in standard deviations, and one over those (B, 7); 0 without a prior."""
     nothing = np.zeros((len(parameters), 2))
     wanted = np.column_stack([nothing, start_yaw, target.lwh_m, target.bottom_y])
-    yaw = np.full(len(parameters), 1 / _YAW_RAD)
+    yaw = np.full(len(parameters), 1 / target.yaw_rad)
     scale = np.column_stack([nothing, yaw, 1 / target.sigma_m, 1 / target.bottom_sigma_m])
     return (parameters - wanted) * scale, scale

@@ -7,7 +7,8 @@ the box (frame_pass).
 
 from boxlift.tracking.drive import DriveReader, Poses, SweepFrames
 from boxlift.tracking.drive_tracker import DriveTracker
+from boxlift.tracking.frame_pass import Fill
 from boxlift.tracking.paths import Motion
 from boxlift.tracking.tracked_objects import TrackedObject
 
-__all__ = ["DriveReader", "DriveTracker", "Motion", "Poses", "SweepFrames", "TrackedObject"]
+__all__ = ["DriveReader", "DriveTracker", "Fill", "Motion", "Poses", "SweepFrames", "TrackedObject"]

@@ -2,7 +2,7 @@
 
 An object that other frames show is looked for wherever it would be in view. Where a prompt is without a box,
 or has one that no other frame confirms, and the object's outline covers it, the prompt was the object's.
-Where there is no prompt, points have to lie on the box, and few rays may go through it.
+Where there is no prompt, points have to lie on the box: nothing may hide it, and few rays go through it.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -26,6 +27,10 @@ from boxlift.tracking.relabel import FilledBox, TrackedBox, relabelled
 from boxlift.tracking.sightings import DriveSweep
 from boxlift.tracking.tracked_objects import TrackedObject
 
+# Which frames without a prompt get a box: none, those between an object's sightings, or all that it is in
+# view of.
+Fill = Literal["none", "gaps", "view"]
+
 # Objects of so many sightings and such a mean score are looked for in other frames; standing ones this long
 # before and after they were seen.
 _FEWEST_SIGHTINGS, _LEAST_SCORE = 3, 0.2
@@ -36,7 +41,7 @@ _COVERS = 0.5
 _NEAREST_M, _FARTHEST_M = 1.0, 80.0
 # The part of the outline that has to be within the image.
 _IN_IMAGE = 0.3
-# Points on the box, and at least this share of the rays that reach its middle.
+# So many points lie on a box, and of the rays to its middle this share ends there.
 _FEWEST_POINTS, _LEAST_ON = 3, 0.4
 _MIDDLE = 0.6
 _OFF_GROUND_M, _ON_M = 0.2, 0.15
@@ -58,6 +63,7 @@ def rewritten_frames(
     objects: Sequence[TrackedObject],
     reader: DriveReader,
     settings: LabellerSettings,
+    fill: Fill,
 ) -> Iterator[FrameDetails]:
     """The details of all frames, sweep by sweep. Raises LabelFormatError, OSError."""
     by_sweep: defaultdict[int, dict[tuple[int, int], TrackedObject]] = defaultdict(dict)
@@ -72,7 +78,10 @@ def rewritten_frames(
             details = reader.details(name)
             own = {item: each for (view, item), each in by_sweep[sweep.number].items() if view == number}
             missing = [each for each in alive if each not in own.values()]
-            yield _rewritten(sweep, details, own, missing, reader, settings)
+            filling = [
+                each for each in missing if fill == "view" or (fill == "gaps" and _is_gap(each, sweep))
+            ]
+            yield _rewritten(sweep, details, own, missing, filling, reader, settings)
 
 
 def _is_sure(tracked: TrackedObject) -> bool:
@@ -92,14 +101,22 @@ def _may_be_there(tracked: TrackedObject, sweep: DriveSweep, sweeps: Sequence[Dr
     return sweeps[first].time_s - around_s <= sweep.time_s <= sweeps[last].time_s + around_s
 
 
+def _is_gap(tracked: TrackedObject, sweep: DriveSweep) -> bool:
+    """Whether it was seen both before and after."""
+    sightings = tracked.track.sightings
+    return sightings[0].sweep < sweep.number < sightings[-1].sweep
+
+
 def _rewritten(
     sweep: DriveSweep,
     details: FrameDetails,
     own: dict[int, TrackedObject],
     missing: Sequence[TrackedObject],
+    filling: Sequence[TrackedObject],
     reader: DriveReader,
     settings: LabellerSettings,
 ) -> FrameDetails:
+    """own: by number of the object in the frame. missing: who may have a prompt; filling: who needs none."""
     if details.view is None:
         return details
     world_SE3_cam = camera_pose(sweep, details)
@@ -119,7 +136,7 @@ def _rewritten(
     rest = []
     for seen, item in _prompts_for(visible, details, own):
         if item is None:
-            rest.append(seen)
+            rest += [seen] if seen.tracked in filling else []
         else:
             boxes[item] = _tracked_box(seen.tracked, seen.box, None)
     filled = _filled(rest, frame, details, boxes, settings) if rest else []
@@ -207,7 +224,7 @@ def _overlap(a: Boxes3D, b: Boxes3D) -> float:
 
 
 def _points_on(view: View, seen: _Visible) -> int | None:
-    """Points on a box; None where they are too few, or too many rays go through its middle."""
+    """Points on a box; None where they are too few, or too many rays to its middle end before or beyond it."""
     box = seen.box
     offset = view.points_cam - box.center_cam[0]
     cos, sin = float(np.cos(box.rotation_y[0])), float(np.sin(box.rotation_y[0]))
@@ -219,21 +236,11 @@ def _points_on(view: View, seen: _Visible) -> int | None:
         & (np.abs(across) < box.width_m[0] / 2 + _ON_M)
         & (np.abs(offset[:, 1]) < box.height_m[0] / 2 + _ON_M)
     )
-    middle, half = (
-        (seen.outline_px[:2] + seen.outline_px[2:]) / 2,
-        np.diff(seen.outline_px.reshape(2, 2), axis=0),
-    )
-    reach = half[0] * _MIDDLE / 2
-    in_middle = view.within(middle - reach, middle + reach)
-    farther = (
-        np.hypot(*view.points_cam[:, [0, 2]].T) > np.hypot(*box.center_cam[0, [0, 2]]) + box.length_m[0] / 2
-    )
-    through = int((in_middle & farther & ~on).sum())
-    count = int(on.sum())
-    enough = count >= _FEWEST_POINTS and (on & in_middle).sum() >= _LEAST_ON * (
-        (on & in_middle).sum() + through
-    )
-    return count if enough else None
+    low_px, high_px = seen.outline_px[:2], seen.outline_px[2:]
+    middle, reach = (low_px + high_px) / 2, (high_px - low_px) * _MIDDLE / 2
+    rays = off_ground & view.within(middle - reach, middle + reach)
+    enough = on.sum() >= _FEWEST_POINTS and (on & rays).sum() >= _LEAST_ON * rays.sum()
+    return int(on.sum()) if enough else None
 
 
 def _tracked_box(tracked: TrackedObject, box: Boxes3D | None, own_score: float | None) -> TrackedBox:

@@ -16,11 +16,11 @@ from boxlift.accurate.evidence import weigh
 from boxlift.accurate.parameters import BOTTOM, HEIGHT, LENGTH, WIDTH, YAW, X, Z, to_box_frame, to_boxes
 from boxlift.accurate.polish import (
     POINTS_WORTH,
+    YAW_RAD,
     SizePull,
     Target,
     Viewpoint,
     outline_distance,
-    point_weights,
     polish,
 )
 from boxlift.accurate.weights import EVIDENCE_WEIGHTS
@@ -53,7 +53,9 @@ _CELL_M = 0.1
 _APART_M, _OWN_SHARE, _NEAR_M = 0.45, 0.6, 0.4
 _ROUNDS = 2
 # Seen from many sides an object shows more of what lies within its outline than to one frame.
-_INSIDE_M = 0.5
+_INSIDE_M = 0.6
+# What moves looks along its path, give or take.
+_PATH_YAW_RAD = 0.03
 _FEWEST_POINTS = 3
 
 
@@ -148,7 +150,7 @@ def fit_fused(
 
     boxes (S, 7), scores (S,): what single frames made of it, in the object's frame.
     """
-    starts = _starts(boxes, scores, size)
+    starts = _starts(boxes, scores, size, path)
     bottom, height_m = float(starts[0, BOTTOM]), float(starts[0, HEIGHT])
     cloud = _Cloud.of(glimpses, path, bottom, height_m, settings.loss.ray_origin)
     own = [cloud.on(start) for start in starts]
@@ -211,8 +213,9 @@ def transformed(parameters: Floats, a_SE3_b: Floats) -> Floats:
     return in_a
 
 
-def _starts(boxes: Floats, scores: Floats, size: SizePull) -> Floats:
-    """(B, 7) what most frames say, the same turned by a right angle, and the most trusted frames."""
+def _starts(boxes: Floats, scores: Floats, size: SizePull, path: Path) -> Floats:
+    """(B, 7) what most frames say, the same turned by a right angle, and the most trusted frames; of what
+    moves the heading is known."""
     common = np.array([_weighted_median(column, scores) for column in boxes.T])
     # Headings wrap: those that look like the frame's own are near 0, front and back alike.
     common[YAW] = 0.0
@@ -222,6 +225,9 @@ def _starts(boxes: Floats, scores: Floats, size: SizePull) -> Floats:
     trusted = boxes[np.argsort(-scores, kind="stable")[:_STARTS]]
     starts = np.concatenate([common[None], turned[None], trusted])
     starts[:, YAW] = wrap_angle(2 * starts[:, YAW]) / 2
+    if path.knows_front:
+        starts = np.delete(starts, 1, axis=0)
+        starts[:, YAW] = 0.0
     return starts
 
 
@@ -266,7 +272,8 @@ def _target(
     targets = []
     for mask in own:
         points_xz = cloud.points[mask][:, [0, 2]]
-        weights = point_weights(points_xz, settings.loss.density_radius_m, POINTS_WORTH * more)
+        # Cells are as even as densities get.
+        weights = np.full(len(points_xz), min(POINTS_WORTH / max(len(points_xz), 1), 1.0) * more)
         targets.append(
             Target.of_one(points_xz, weights, boxes_px, size, np.array([bottom]), np.array([is_known]))
         )
@@ -279,7 +286,8 @@ def _target(
         )
         for each in views
     ]
-    return replace(Target.joined(targets), inside_m=_INSIDE_M), viewpoints
+    yaw_rad = _PATH_YAW_RAD if path.knows_front else YAW_RAD
+    return replace(Target.joined(targets), inside_m=_INSIDE_M, yaw_rad=yaw_rad), viewpoints
 
 
 def _ground(views: Sequence[Glimpse], path: Path, bottom: float) -> tuple[float, bool]:

@@ -56,7 +56,7 @@ class Sighting:
     @property
     def sigma_m(self) -> float:
         """How far its centre may be off (ours): far, doubtful and cut boxes farther."""
-        return 0.25 + 0.01 * self.range_m + 0.5 * (1 - self.score) + 0.5 * self.is_cut
+        return 0.25 + 0.01 * self.range_m + 0.5 * (1 - self.score) + 1.0 * self.is_cut
 
     @property
     def is_upright(self) -> bool:
