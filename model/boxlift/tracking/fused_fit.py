@@ -56,6 +56,10 @@ _ROUNDS = 2
 _INSIDE_M = 0.6
 # What moves looks along its path, give or take.
 _PATH_YAW_RAD = 0.03
+# The span of the points along a side, without this share at either end and with this much more, is the
+# side's length where it is more than this share of the class's; give or take, and more the less is seen.
+_SPAN_TAIL, _SPAN_MORE_M, _SPAN_SHARE = 0.02, 0.05, 0.75
+_SPAN_SIGMA_M, _SPAN_HIDDEN = 0.15, 0.4
 _FEWEST_POINTS = 3
 
 
@@ -270,12 +274,19 @@ def _target(
     bottom, is_known = _ground(views, path, float(starts[0, BOTTOM]))
     boxes_px = np.array([each.region.box_px for each in views])
     targets = []
-    for mask in own:
+    for mask, start in zip(own, starts, strict=True):
         points_xz = cloud.points[mask][:, [0, 2]]
         # Cells are as even as densities get.
         weights = np.full(len(points_xz), min(POINTS_WORTH / max(len(points_xz), 1), 1.0) * more)
         targets.append(
-            Target.of_one(points_xz, weights, boxes_px, size, np.array([bottom]), np.array([is_known]))
+            Target.of_one(
+                points_xz,
+                weights,
+                boxes_px,
+                _seen_size(start, points_xz, size),
+                np.array([bottom]),
+                np.array([is_known]),
+            )
         )
     use_edges = settings.repairs is None or settings.repairs.edges
     viewpoints = [
@@ -288,6 +299,26 @@ def _target(
     ]
     yaw_rad = _PATH_YAW_RAD if path.knows_front else YAW_RAD
     return replace(Target.joined(targets), inside_m=_INSIDE_M, yaw_rad=yaw_rad), viewpoints
+
+
+def _seen_size(box: Floats, points_xz: Floats, size: SizePull) -> SizePull:
+    """The pull of a class, and that of the points where they reach along most of a side: it ends with them.
+
+    Points of a side that is seen up to its end tell a length that no prior knows; where something hides the
+    end, they tell one that is too short, the more so the less they show.
+    """
+    lwh, sigma = size.lwh_m.copy(), size.sigma_m.copy()
+    for side, axis in enumerate(to_box_frame(box[None], points_xz)[:1]):
+        low, high = np.quantile(axis[0], [_SPAN_TAIL, 1 - _SPAN_TAIL])
+        span = float(high - low) + _SPAN_MORE_M
+        share = span / float(lwh[side])
+        if not _SPAN_SHARE < share:
+            continue
+        span_sigma = _SPAN_SIGMA_M + _SPAN_HIDDEN * max(float(lwh[side]) - span, 0.0)
+        own, seen = sigma[side] ** -2, span_sigma**-2
+        lwh[side] = (own * lwh[side] + seen * span) / (own + seen)
+        sigma[side] = (own + seen) ** -0.5
+    return SizePull(lwh, sigma)
 
 
 def _ground(views: Sequence[Glimpse], path: Path, bottom: float) -> tuple[float, bool]:
