@@ -44,8 +44,8 @@ _STARTS = 4
 _AGREEMENT_WORTH = 10.0
 # Sides of which the points show less than this share say nothing of the size.
 _SEEN_SHARE = 0.6
-# n frames weigh as much as n to this power: their errors are alike.
-_MORE = 0.25
+# The points of n frames weigh as much as those of n to this power: their errors are alike.
+_MORE = 0.2
 # What lies farther from the middle of the object than this is not looked at.
 _AROUND_M = 8.0
 _CELL_M = 0.1
@@ -269,7 +269,7 @@ def _target(
     size: SizePull,
     settings: LabellerSettings,
 ) -> tuple[Target, list[Viewpoint]]:
-    """What the polish pulls to. Errors of one object's frames are alike: n of them count as the root of n."""
+    """What the polish pulls to. Prompts err alike in all frames: the edges of all count as those of one."""
     more = len(views) ** _MORE
     bottom, is_known = _ground(views, path, float(starts[0, BOTTOM]))
     boxes_px = np.array([each.region.box_px for each in views])
@@ -293,7 +293,7 @@ def _target(
         Viewpoint(
             each.image_P_world @ path.world_SE3_object(each.sweep),
             each.view.frame.image_size_px,
-            use_edges * more / len(views),
+            use_edges / len(views),
         )
         for each in views
     ]
