@@ -83,8 +83,9 @@ def _write_calibration(day: Path, calibration: Path) -> None:
     """The object benchmark's calibration in the words of the raw data; it is the same all day."""
     of = {key: words.split() for key, _, words in map(_parted, calibration.read_text().splitlines())}
     camera = {"S_rect_02": ["1242", "375"], "R_rect_00": of["R0_rect"], "P_rect_02": of["P2"]}
-    turned = [of["Tr_velo_to_cam"][4 * row : 4 * row + 3] for row in range(3)]
-    velo = {"R": sum(turned, []), "T": of["Tr_velo_to_cam"][3::4]}
+    numbers = of["Tr_velo_to_cam"]
+    rotation = [number for place, number in enumerate(numbers) if place % 4 < 3]
+    velo = {"R": rotation, "T": numbers[3::4]}
     for name, lines in (("calib_cam_to_cam.txt", camera), ("calib_velo_to_cam.txt", velo)):
         (day / name).write_text("".join(f"{key}: {' '.join(words)}\n" for key, words in lines.items()))
 

@@ -1,14 +1,15 @@
 """A label set in other formats.
 
-What is of frames (KITTI) is written frame by frame; all others hold sweeps in the ego frame, in which an
+What is of frames (KITTI's) is written frame by frame; all others hold sweeps in the ego frame, in which an
 object that several cameras labelled is there once. Sweeps come log by log, in the order of their times.
 """
 
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import groupby
@@ -21,12 +22,14 @@ from boxlift.errors import InputError, OptionsError
 from boxlift.formats import (
     argoverse2_boxes,
     kitti_label,
+    kitti_tracks,
     mcap_scene,
     nuscenes_boxes,
     openlabel,
     rerun_recording,
 )
 from boxlift.formats.details import kitti_object_of
+from boxlift.formats.kitti_tracks import NO_TRACK, TrackedObject
 from boxlift.formats.supervisely import SuperviselyProject
 from boxlift.storage import write_whole
 from boxlift.sweep import CameraImage, SweepLabels, SweepSensors
@@ -41,6 +44,7 @@ class Format(StrEnum):
     """What a label set can be converted to."""
 
     KITTI = "kitti"
+    KITTI_TRACKING = "kitti-tracking"
     ARGOVERSE2 = "argoverse2"
     OPENLABEL = "openlabel"
     SUPERVISELY = "supervisely"
@@ -85,6 +89,8 @@ def convert(
     if to is Format.KITTI:
         return _to_kitti(label_set, out, min_score, on_progress)
     index = LabelSetIndex(label_set)
+    if to is Format.KITTI_TRACKING:
+        return _to_kitti_tracking(index, out, min_score, on_progress)
     sensors = None if source is None else _Sensors(open_source(source))
     conversion = _Conversion(index, min_score, sensors, on_progress)
     _WRITERS[to](conversion, out)
@@ -153,6 +159,43 @@ def _to_kitti(label_set: AnyPath, out: AnyPath, min_score: float, on_progress: O
         done.units, done.boxes = done.units + 1, done.boxes + len(lines)
         on_progress(done.units, len(frames))
     return done
+
+
+def _to_kitti_tracking(
+    index: LabelSetIndex, out: AnyPath, min_score: float, on_progress: OnProgress
+) -> Converted:
+    """A file per drive and camera, with scores, as the tracking benchmark takes results.
+
+    Frames have the numbers that their names end with where all of a drive do, else their places in it. With
+    several cameras each has a folder.
+    """
+    done = Converted()
+    for log, entries in groupby(index.sweeps, key=lambda entry: entry.log):
+        of_log = list(entries)
+        numbers = _frame_numbers([entry.sweep for entry in of_log])
+        lines: dict[str, list[TrackedObject]] = {}
+        for entry, number in zip(of_log, numbers, strict=True):
+            for details in read_frames_of(index.label_set, entry.frames):
+                camera = "" if details.view is None else details.view.camera
+                lines.setdefault(camera, []).extend(
+                    TrackedObject(
+                        number, each.track.id if each.track else NO_TRACK, kitti_object_of(each.kitti)
+                    )
+                    for each in details.objects
+                    if each.kitti is not None and each.score >= min_score
+                )
+            done.units += 1
+            on_progress(done.units, len(index.sweeps))
+        for camera, objects in lines.items():
+            folder = out / camera if len(lines) > 1 else out
+            write_whole(folder / f"{log or 'labels'}.txt", kitti_tracks.to_text(objects).encode())
+            done.boxes += len(objects)
+    return done
+
+
+def _frame_numbers(sweeps: Sequence[str]) -> list[int]:
+    numbers = [int(found.group()) for name in sweeps if (found := re.search(r"\d+$", name))]
+    return numbers if len(set(numbers)) == len(sweeps) else list(range(len(sweeps)))
 
 
 def _to_argoverse2(conversion: _Conversion, out: AnyPath) -> None:

@@ -163,6 +163,15 @@ def read_rows(folder: AnyPath) -> Iterator[LedgerRow]:
             yield LedgerRow(**{**row, "results": dict(row["results"])})
 
 
+def read_frame_sources(folder: AnyPath) -> dict[str, str]:
+    """The id of every frame's data set. Raises LabelFormatError where a part cannot be read."""
+    return {
+        frame: source
+        for table in _tables(folder, ["frame", "source"])
+        for frame, source in zip(table["frame"].to_pylist(), table["source"].to_pylist(), strict=True)
+    }
+
+
 def _tables(folder: AnyPath, columns: list[str]) -> Iterator[Any]:
     if not is_folder(folder):
         return

@@ -40,7 +40,8 @@ class Manifest(BaseModel):
     """How a label set was made.
 
     version: of the boxlift that labels. prompts, masks: as they were named. detector_digest: SHA-256 of the
-    detector's file, where it found the prompts.
+    detector's file, where it found the prompts. tracking: how it was tracked from a label set that was made
+    so; None for one that is not tracked.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -53,6 +54,7 @@ class Manifest(BaseModel):
     detector_digest: str | None
     settings: dict[str, Any]
     sources: tuple[SourceEntry, ...]
+    tracking: dict[str, Any] | None = None
 
     @classmethod
     def of(cls, job: LabelJob, identity: LabellerIdentity, layout: str) -> Manifest:
@@ -64,9 +66,12 @@ class Manifest(BaseModel):
             "detector_digest": identity.detector_digest,
             "settings": job.settings.model_dump(mode="json"),
         }
-        canonical = json.dumps(made, sort_keys=True, separators=(",", ":"))
-        fingerprint = hashlib.sha256(canonical.encode()).hexdigest()[:16]
-        return cls(fingerprint=fingerprint, sources=(_entry(job.source, layout),), **made)
+        return cls(fingerprint=_fingerprint(made), sources=(_entry(job.source, layout),), **made)
+
+    def tracked(self, tracking: dict[str, Any]) -> Manifest:
+        """That of the label set that is tracked from this one."""
+        fingerprint = _fingerprint({"labels": self.fingerprint, "tracking": tracking})
+        return self.model_copy(update={"fingerprint": fingerprint, "tracking": tracking})
 
     def source_id(self, source: AnyPath) -> str | None:
         """The id of a data set; None where it is none of the sources."""
@@ -117,6 +122,30 @@ def join_label_set(job: LabelJob, identity: LabellerIdentity, layout: str) -> tu
         write_whole(job.out / MANIFEST, there.text().encode())
         known = entry.id
     return there, known
+
+
+def join_tracked_set(out: AnyPath, labels: Manifest, tracking: dict[str, Any]) -> None:
+    """Make `out` the label set that is tracked from one with the manifest `labels`, or join the one there.
+
+    Raises OptionsError where what is there was made otherwise.
+    """
+    own = labels.tracked(tracking)
+    there = read_manifest(out)
+    if there is None and _holds_files(out / "data"):
+        raise OptionsError("out", f"{str(out)!r} holds labels without a {MANIFEST}.", "Give an empty folder.")
+    if there is not None and there.fingerprint != own.fingerprint:
+        raise OptionsError(
+            "out",
+            f"the labels in {str(out)!r} were made otherwise ({_differences(there, own)}).",
+            "Give another --out, or the same label set, options and version as before.",
+        )
+    if there != own:
+        write_whole(out / MANIFEST, own.text().encode())
+
+
+def _fingerprint(made: dict[str, Any]) -> str:
+    canonical = json.dumps(made, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(canonical.encode()).hexdigest()[:16]
 
 
 def _entry(source: AnyPath, layout: str) -> SourceEntry:

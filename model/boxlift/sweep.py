@@ -79,6 +79,12 @@ class EgoObject:
         """Heading about the ego frame's z axis, counter-clockwise from x, in (-pi, pi]."""
         return float(np.arctan2(self.ego_SO3_object[1, 0], self.ego_SO3_object[0, 0]))
 
+    @property
+    def caption(self) -> str:
+        """What viewers show beside the box: class, track where there is one, score."""
+        track = "" if self.track_id is None else f" #{self.track_id}"
+        return f"{self.category}{track} {self.score:.2f}"
+
 
 @dataclass(frozen=True)
 class SweepLabels:

@@ -23,6 +23,7 @@ from boxlift_client.cli.keys import keys
 from boxlift_client.cli.label import label
 from boxlift_client.cli.serve import serve
 from boxlift_client.cli.show import show
+from boxlift_client.cli.track import track
 from boxlift_client.cli.train import train
 
 _USER_ERROR = 2
@@ -35,7 +36,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (demo, serve, label, detect, convert, evaluate, show, train, export):
+for command in (demo, serve, label, track, detect, convert, evaluate, show, train, export):
     app.command()(command)
 app.add_typer(keys, name="keys")
 

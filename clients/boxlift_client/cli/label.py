@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -17,15 +13,13 @@ from boxlift.formats.size_priors import read_size_priors
 from boxlift.settings import DEFAULT_PRESET, PRESETS, LabellerSettings, preset
 from boxlift.storage import is_folder, open_path
 from boxlift_client.cli.detection import DetectorOption, MinScoreOption, with_detection
+from boxlift_client.cli.track import TRACKED, run_tracking
 from boxlift_client.job import DETECTOR
 from boxlift_client.shard import parse_shard
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
     from boxlift_client.engines import Engine
-
-_INTERRUPTED = 130  # as shells count: 128 + SIGINT
-_TERMINATED = 143  # 128 + SIGTERM
 
 
 def label(
@@ -121,6 +115,14 @@ def label(
             help="A frame that takes longer has failed.  [default: 50 times the median frame, at least 10]",
         ),
     ] = None,
+    sequence: Annotated[
+        bool,
+        typer.Option(
+            "--sequence",
+            help=f"The frames follow each other: track their objects afterwards, into OUT/{TRACKED} (see "
+            "boxlift track).",
+        ),
+    ] = False,
     workers: Annotated[
         int | None,
         typer.Option(min=1, metavar="N", help="Processes, or requests at a time.  [default: by cores, or 4]"),
@@ -133,9 +135,11 @@ def label(
     Exits with 1 where frames failed (they are in OUT/failed.csv); frames without LiDAR are skipped:
     their files hold no box.
     """
+    from boxlift_client.cli.interruption import resumable
     from boxlift_client.cli.progress import progress_bar
     from boxlift_client.job import LabelJob
     from boxlift_client.runner import label_dataset
+    from boxlift_client.tracking import TrackJob
 
     settings = with_detection(_settings(preset_name, size), prompts, detector, min_score)
     if priors is not None:
@@ -152,16 +156,12 @@ def label(
     chosen_engine = _engine(engine, url, ray_address, workers)
     names = None if frames is None else read_frames(frames)
     shard = None if shard_name is None else parse_shard(shard_name)
-    try:
-        with _termination_interrupts(), progress_bar("Labelling") as progress:
-            summary = label_dataset(
-                job, chosen_engine, names, progress, shard=shard, retry_failed=retry_failed
-            )
-    except KeyboardInterrupt as interrupt:
-        print(f"Interrupted. What was finished is in {out}; the same command goes on.", file=sys.stderr)
-        raise typer.Exit(_TERMINATED if interrupt.args else _INTERRUPTED) from None
+    with resumable(out), progress_bar("Labelling") as progress:
+        summary = label_dataset(job, chosen_engine, names, progress, shard=shard, retry_failed=retry_failed)
     print(summary.text())
     print(f"Labels are in {folder / 'data'}, details in {folder / 'details'}.")
+    if sequence and shard is None:
+        run_tracking(TrackJob(folder, folder / TRACKED), workers, None)
     if not summary.complete:
         raise typer.Exit(1)
 
@@ -196,20 +196,6 @@ def _engine(name: str, urls: list[str] | None, ray_address: str | None, workers:
     from boxlift_client.engines.local import LocalEngine
 
     return LocalEngine(workers)
-
-
-@contextmanager
-def _termination_interrupts() -> Iterator[None]:
-    """SIGTERM, as clusters send it before they take a machine, ends a run as Ctrl-C does: nothing is lost."""
-
-    def interrupt(signum: int, _: object) -> None:
-        raise KeyboardInterrupt(signum)
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _find_masks(masks: str, source: AnyPath) -> AnyPath:

@@ -54,7 +54,8 @@ class Target:
     points_xz (B, M, 2) with weights (B, M), 0 where a point is padding. box_px (B, V, 4) the prompts of V
     viewpoints, cut to the image, which the projected box is cut to as well: an edge beyond the border costs
     nothing. lwh_m, sigma_m (B, 3) the size and how far it may be off. bottom_y, bottom_sigma_m (B,) the same
-    for the ground. inside_m: how far points may lie inside the outline. yaw_rad: how far the heading may turn.
+    for the ground. inside_m: how far points may lie inside the outline. yaw_rad: how far the heading may
+    turn.
     """
 
     points_xz: Floats
@@ -89,8 +90,7 @@ class Target:
 
     @classmethod
     def joined(cls, targets: Sequence[Target]) -> Target:
-        """Targets one after the other, their points padded to the largest number; inside_m and yaw_rad are one
-        for all."""
+        """Targets one after the other, points padded to the largest number; the rest is the first's."""
         most = max(target.weights.shape[1] for target in targets)
 
         def padded(array: Floats) -> Floats:

@@ -131,7 +131,12 @@ def sweep_labels_of_details(details: FrameDetails) -> SweepLabels:
     return SweepLabels(
         sweep=details.frame if view is None else view.sweep,
         objects=tuple(
-            replace(box, flags=each.flags, points=each.points.in_cluster)
+            replace(
+                box,
+                flags=each.flags,
+                points=each.points.in_cluster,
+                track_id=None if each.track is None else str(each.track.id),
+            )
             for box, (each, _) in zip(objects, known, strict=True)
         ),
         log="" if view is None else view.log,

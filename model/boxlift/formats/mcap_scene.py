@@ -1,5 +1,7 @@
 """Labels as an MCAP recording for Foxglove: cubes and their texts as SceneUpdates, one message a sweep.
 
+The metadata of a scene name its sweep and the tracks of its cubes, in their order ("-" for none).
+
 Cubes stand in the frame "base_link", the ego frame; where poses are known, transforms place it in "map".
 Beside them go the points and images of the sweep, where they are at hand. Times are the sweeps'; where those
 are not known, sweeps are a tenth of a second apart. Source: Foxglove's schemas, through its SDK.
@@ -87,16 +89,19 @@ def _scene(labels: SweepLabels, time_ns: int) -> Any:
         cubes.append(messages.CubePrimitive(pose=_pose(each), size=size, color=color))
         above = replace(each, center_ego=each.center_ego + np.array([0, 0, each.height_m / 2 + 0.3]))
         texts.append(
-            messages.TextPrimitive(
-                pose=_pose(above), billboard=True, font_size=0.5, text=f"{each.category} {each.score:.2f}"
-            )
+            messages.TextPrimitive(pose=_pose(above), billboard=True, font_size=0.5, text=each.caption)
         )
     entity = messages.SceneEntity(
         timestamp=_stamp(time_ns),
         frame_id=EGO,
         id="labels",
         frame_locked=True,
-        metadata=[messages.KeyValuePair(key="sweep", value=labels.sweep)],
+        metadata=[
+            messages.KeyValuePair(key="sweep", value=labels.sweep),
+            messages.KeyValuePair(
+                key="tracks", value=" ".join(each.track_id or "-" for each in labels.objects)
+            ),
+        ],
         cubes=cubes,
         texts=texts,
     )

@@ -124,7 +124,8 @@ def results_of(sweeps: Iterable[SweepLabels]) -> tuple[dict[str, Any], Counter[s
     """Labels of sweeps that are samples -> the content of a results file, and classes that it cannot hold.
 
     Boxes go to the global frame, by the vehicle's pose; of a sample the 500 with the best scores are kept,
-    as the benchmark asks. Velocities are 0 and attributes empty: boxlift does not know them.
+    as the benchmark asks. Velocities are 0 and attributes empty: boxlift does not know them. Boxes of tracked
+    labels have the fields of the tracking task too.
 
     Raises DatasetError where a sweep has no pose.
     """
@@ -152,7 +153,9 @@ def results_of(sweeps: Iterable[SweepLabels]) -> tuple[dict[str, Any], Counter[s
 
 def _result(each: EgoObject, token: str, world_SE3_ego: Floats, name: str) -> dict[str, Any]:
     center = world_SE3_ego[:3, :3] @ each.center_ego + world_SE3_ego[:3, 3]
+    track = {"tracking_id": each.track_id, "tracking_name": name, "tracking_score": each.score}
     return {
+        **(track if each.track_id is not None else {}),
         "sample_token": token,
         "translation": center.tolist(),
         "size": [each.width_m, each.length_m, each.height_m],

@@ -67,7 +67,7 @@ def _boxes(rerun: Any, labels: SweepLabels) -> Any:
         centers=[each.center_ego for each in objects],
         half_sizes=[(each.length_m / 2, each.width_m / 2, each.height_m / 2) for each in objects],
         quaternions=[rerun.Quaternion(xyzw=(x, y, z, w)) for w, x, y, z in quaternions],
-        labels=[f"{each.category} {each.score:.2f}" for each in objects],
+        labels=[each.caption for each in objects],
     )
 
 

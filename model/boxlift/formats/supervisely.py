@@ -48,7 +48,8 @@ class SuperviselyProject:
         for index, each in enumerate(labels.objects):
             if each.category not in self._classes:
                 self._classes.append(each.category)
-            object_key = self._key("objects", each.track_id or f"{name}/{index}")
+            track = None if each.track_id is None else f"{labels.log}/{each.track_id}"
+            object_key = self._key("objects", track or f"{name}/{index}")
             objects.append({"key": object_key, "classTitle": each.category, "tags": _tags(each, object_key)})
             figures.append(
                 {

@@ -224,7 +224,7 @@ def _overlap(a: Boxes3D, b: Boxes3D) -> float:
 
 
 def _points_on(view: View, seen: _Visible) -> int | None:
-    """Points on a box; None where they are too few, or too many rays to its middle end before or beyond it."""
+    """Points on a box; None if they are too few, or too many rays to its middle end elsewhere."""
     box = seen.box
     offset = view.points_cam - box.center_cam[0]
     cos, sin = float(np.cos(box.rotation_y[0])), float(np.sin(box.rotation_y[0]))

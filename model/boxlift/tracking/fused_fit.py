@@ -312,7 +312,7 @@ def _seen_size(box: Floats, points_xz: Floats, size: SizePull) -> SizePull:
         low, high = np.quantile(axis[0], [_SPAN_TAIL, 1 - _SPAN_TAIL])
         span = float(high - low) + _SPAN_MORE_M
         share = span / float(lwh[side])
-        if not _SPAN_SHARE < share:
+        if not share > _SPAN_SHARE:
             continue
         span_sigma = _SPAN_SIGMA_M + _SPAN_HIDDEN * max(float(lwh[side]) - span, 0.0)
         own, seen = sigma[side] ** -2, span_sigma**-2

@@ -52,6 +52,29 @@ class TrackedObject:
         """Of the boxes of the single frames."""
         return float(np.mean([each.score for each in self.track.sightings]))
 
+    @property
+    def place_spread_m(self) -> float:
+        """How far the middles of the single frames' boxes lie from their median, root mean square."""
+        places = np.array([each.center_world[:2] for each in self.track.sightings])
+        return float(np.sqrt(((places - np.median(places, axis=0)) ** 2).sum(1).mean()))
+
+    @property
+    def length_spread_m(self) -> float:
+        """Standard deviation of the lengths of the single frames' boxes."""
+        return float(np.std([each.lwh_m[0] for each in self.track.sightings]))
+
+    @property
+    def turned(self) -> int:
+        """Boxes of single frames that look to the back, where motion tells the front."""
+        if not self.path.knows_front:
+            return 0
+        looks = (
+            self.path.world_SE3_object(each.sweep)[:2, 0]
+            @ (np.cos(each.heading_rad), np.sin(each.heading_rad))
+            for each in self.track.sightings
+        )
+        return sum(bool(look < 0) for look in looks)
+
     def score(self, own: float | None) -> float:
         """Confidence in the box of a frame whose own box had the score `own`; None: it had none."""
         if len(self.track.sightings) == 1:

@@ -45,7 +45,9 @@ def upright(points_xz: Floats, heights_m: Sequence[float] = (0.4, 0.7, 1.0)) -> 
 def prompt_of(box: Floats, category: str = "Car") -> Prompt:
     """The exact prompt of a box (1, 7), cut to the image."""
     width, height = IMAGE_SIZE_PX
-    edges = project_edges(box, CALIBRATION.image_P_cam)[0][0].clip(0, (width - 1, height - 1, width - 1, height - 1))
+    edges = project_edges(box, CALIBRATION.image_P_cam)[0][0].clip(
+        0, (width - 1, height - 1, width - 1, height - 1)
+    )
     x1, y1, x2, y2 = edges.tolist()
     return Prompt(category, (x1, y1, x2, y2))
 
