@@ -36,8 +36,8 @@ def convert(
     ] = None,
     min_score: Annotated[float, typer.Option(min=0, max=1, help="Leave out boxes with a lower score.")] = 0.0,
 ) -> None:
-    """Write labels in another format: KITTI (objects or tracks), Argoverse 2 (Parquet), OpenLABEL, Supervisely,
-    nuScenes, MCAP or Rerun."""
+    """Write labels in another format: KITTI (objects or tracks), Argoverse 2 (Parquet), OpenLABEL,
+    Supervisely, nuScenes, MCAP or Rerun."""
     from boxlift_client.cli.progress import progress_bar
 
     with progress_bar("Converting") as on_progress:

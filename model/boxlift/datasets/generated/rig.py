@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from boxlift.camera import Calibration, Floats
+from boxlift.poses import about_z
 
 # x_cam = -y, y_cam = -z, z_cam = x of the LiDAR (and of the scene) where the camera looks ahead.
 _AXES_LOOKING_AHEAD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -30,6 +31,7 @@ class Rig:
     elevations_deg: one per beam; azimuth_step_deg: between two firings.
     range_noise_m: standard deviation along the beam.
     camera_yaw_deg: the camera turned left against the car; the LiDAR is not.
+    car_at_m, car_heading_rad: where the car stands in the scene, and how far left of forward it looks.
     """
 
     name: str
@@ -47,19 +49,25 @@ class Rig:
     min_range_m: float = 0.9
     range_noise_m: float = 0.02
     camera_yaw_deg: float = 0.0
+    car_at_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    car_heading_rad: float = 0.0
 
     def turned(self, yaw_deg: float, name: str) -> Rig:
         """Another camera at the same place on the same car, turned left by so much; the LiDAR stays."""
         ahead = replace(self, name=name, camera_yaw_deg=yaw_deg)
-        lidar_in_cam_m = ahead.cam_axes_of_scene @ self.cam_axes_of_scene.T @ np.array(self.lidar_in_cam_m)
+        lidar_in_cam_m = ahead.cam_axes_of_car @ self.cam_axes_of_car.T @ np.array(self.lidar_in_cam_m)
         x, y, z = (float(value) for value in lidar_in_cam_m)
         return replace(ahead, lidar_in_cam_m=(x, y, z))
 
     @property
+    def cam_axes_of_car(self) -> Floats:
+        """(3, 3) directions of the car (x forward, y left, z up) -> of the rectified camera frame."""
+        return np.asarray(_AXES_LOOKING_AHEAD @ _rotation((0.0, 0.0, -self.camera_yaw_deg)))
+
+    @property
     def cam_axes_of_scene(self) -> Floats:
-        """(3, 3) directions of the scene frame (x forward, y left, z up) -> of the rectified camera frame."""
-        about_z = _rotation((0.0, 0.0, -self.camera_yaw_deg))
-        return np.asarray(_AXES_LOOKING_AHEAD @ about_z)
+        """(3, 3) directions of the scene frame -> of the rectified camera frame."""
+        return np.asarray(self.cam_axes_of_car @ about_z(-self.car_heading_rad))
 
     @property
     def projection(self) -> Floats:
@@ -79,7 +87,7 @@ class Rig:
     @property
     def unrectified_from_velo(self) -> Floats:
         """(3, 4) LiDAR frame to unrectified camera frame, KITTI's Tr_velo_to_cam."""
-        rotation = self.cam_axes_of_scene @ _rotation(self.lidar_turn_deg)
+        rotation = self.cam_axes_of_car @ _rotation(self.lidar_turn_deg)
         rectified = np.column_stack([rotation, self.lidar_in_cam_m])
         return _as_written(np.linalg.solve(self.rectification, rectified))
 

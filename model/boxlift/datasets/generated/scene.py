@@ -31,6 +31,11 @@ _MAKERS: dict[str, Callable[[np.random.Generator], Mesh]] = {
 _PARKED = {"Car": 0.89, "Van": 0.09, "Truck": 0.02}
 _MOVING = {"Car": 0.78, "Van": 0.11, "Truck": 0.07, "Cyclist": 0.04}
 
+# What a road user is about; most stand.
+Role = Literal["standing", "driving", "crossing", "walking", "cycling"]
+_STANDING: Role = "standing"
+_DRIVING: Role = "driving"
+
 _GAP_M = 0.35  # between any two footprints
 _OWN_CAR = ((-0.9, 0.0), 0.0, (6.0, 2.4))  # centre, heading, size of the footprint that carries the rig
 
@@ -55,7 +60,7 @@ class SceneObject:
     """One road user. Its mesh is in the scene frame and fills its box exactly.
 
     size_lwh_m, bottom_center (scene frame) and rotation_y (KITTI's) have two decimals, so that a
-    label file holds the exact truth.
+    label file holds the exact truth. role: what it does in a drive.
     """
 
     category: str
@@ -63,6 +68,7 @@ class SceneObject:
     size_lwh_m: tuple[float, float, float]
     bottom_center: tuple[float, float, float]
     rotation_y: float
+    role: Role = "standing"
 
     @property
     def heading_rad(self) -> float:
@@ -109,17 +115,19 @@ class _Plot:
         self.rng = rng
         self.terrain = terrain
         self.objects: list[SceneObject] = []
-        self._taken: list[Floats] = [_footprint(*_OWN_CAR)]
+        self._taken: list[Floats] = [footprint(*_OWN_CAR)]
 
     def free(self, x: float, y: float, heading_rad: float, length_m: float, width_m: float) -> bool:
         """Takes the footprint and says True, or False where it is taken already."""
-        wanted = _footprint((x, y), heading_rad, (length_m + _GAP_M, width_m + _GAP_M))
-        if any(_overlap(wanted, other) for other in self._taken):
+        wanted = footprint((x, y), heading_rad, (length_m + _GAP_M, width_m + _GAP_M))
+        if any(overlap(wanted, other) for other in self._taken):
             return False
-        self._taken.append(_footprint((x, y), heading_rad, (length_m, width_m)))
+        self._taken.append(footprint((x, y), heading_rad, (length_m, width_m)))
         return True
 
-    def place(self, shares: dict[str, float], x: float, across: float, turn_rad: float) -> bool:
+    def place(
+        self, shares: dict[str, float], x: float, across: float, turn_rad: float, role: Role = "standing"
+    ) -> bool:
         """One road user at x and a distance left of the road's middle, turned against the road."""
         categories = list(shares)
         category = categories[self.rng.choice(len(categories), p=list(shares.values()))]
@@ -133,11 +141,11 @@ class _Plot:
         if not self.free(x, y, heading, float(size[0]), float(size[1])):
             return False
         # Boxes are upright in KITTI's convention; on a slope the body stands at the mean height.
-        under = np.concatenate([_footprint((x, y), heading, (0.8 * size[0], size[1])), [[x, y]]])
+        under = np.concatenate([footprint((x, y), heading, (0.8 * size[0], size[1])), [[x, y]]])
         z = round(float(self.terrain.height(under[:, 0], under[:, 1]).mean()), 2)
         length, width, height = (float(side) for side in size)
         mesh = raw.fitted(size).turned(heading).moved((x, y, z))
-        self.objects.append(SceneObject(category, mesh, (length, width, height), (x, y, z), rotation_y))
+        self.objects.append(SceneObject(category, mesh, (length, width, height), (x, y, z), rotation_y, role))
         return True
 
     def stand(self, mesh: Mesh, x: float, across: float, turn_rad: float = 0.0) -> Mesh:
@@ -154,10 +162,10 @@ def _drive(plot: _Plot, factor: float) -> None:
         x = rng.uniform(7, 35) if across < 0 else rng.uniform(-15, 25)
         while x < 65:
             if rng.random() < 0.4 * factor:
-                angle = turn + rng.normal(0, 0.03)
+                angle, role = turn + rng.normal(0, 0.03), _DRIVING
                 if rng.random() < 0.1:
-                    angle += rng.uniform(-0.9, 0.9)
-                plot.place(_MOVING, x, across + rng.normal(0, 0.2), angle)
+                    angle, role = angle + rng.uniform(-0.9, 0.9), _STANDING
+                plot.place(_MOVING, x, across + rng.normal(0, 0.2), angle, role)
             x += rng.uniform(11, 34)
 
 
@@ -199,7 +207,7 @@ def _cross(plot: _Plot, factor: float) -> None:
                         if abs(across) < 8 and rng.random() < 0.4
                         else rng.normal(0, 0.04)
                     )
-                    plot.place(_MOVING, crossing + lane, across, turn + bend)
+                    plot.place(_MOVING, crossing + lane, across, turn + bend, "crossing")
                 across += rng.uniform(6, 14)
 
 
@@ -212,16 +220,18 @@ def _walk_and_cycle(plot: _Plot, factor: float) -> None:
         across = side * (edge + rng.uniform(0.5, PAVEMENT_WIDTH_M - 0.3))
         if rng.random() < 0.2:
             across, turn = rng.uniform(-edge, edge), side * np.pi / 2 + rng.normal(0, 0.2)
-        plot.place({"Pedestrian": 1.0}, x, across, turn)
+        plot.place({"Pedestrian": 1.0}, x, across, turn, "walking")
         if rng.random() < 0.35:
-            plot.place({"Pedestrian": 1.0}, x + rng.normal(0, 0.2), across + rng.choice([-0.8, 0.8]), turn)
+            plot.place(
+                {"Pedestrian": 1.0}, x + rng.normal(0, 0.2), across + rng.choice([-0.8, 0.8]), turn, "walking"
+            )
     for _ in range(rng.poisson(0.8 * factor)):
         side, x = rng.choice([-1, 1]), rng.uniform(6, 50)
         across = side * (edge + rng.choice([-2.4, -0.6, 1.2]))
         turn = 0.0 if side < 0 else np.pi
         if rng.random() < 0.2:
             turn += rng.uniform(-np.pi, np.pi)
-        plot.place({"Cyclist": 1.0}, x, across, turn + rng.normal(0, 0.08))
+        plot.place({"Cyclist": 1.0}, x, across, turn + rng.normal(0, 0.08), "cycling")
 
 
 def _build_up(plot: _Plot, layout: Layout) -> list[Mesh]:
@@ -273,14 +283,14 @@ def _stands_free(plot: _Plot, x: float, across: float, length_m: float, width_m:
     return plot.free(x, y, plot.terrain.road_heading(x), length_m, width_m)
 
 
-def _footprint(center: tuple[float, float], heading_rad: float, size_m: tuple[float, float]) -> Floats:
+def footprint(center: tuple[float, float], heading_rad: float, size_m: tuple[float, float]) -> Floats:
     """(4, 2) corners in order."""
     ahead = np.array([np.cos(heading_rad), np.sin(heading_rad)]) * size_m[0] / 2
     left = np.array([-np.sin(heading_rad), np.cos(heading_rad)]) * size_m[1] / 2
     return np.asarray(np.array([ahead + left, ahead - left, -ahead - left, left - ahead]) + center)
 
 
-def _overlap(one: Floats, other: Floats) -> bool:
+def overlap(one: Floats, other: Floats) -> bool:
     """Whether two rectangles meet: no side of either separates them (separating axis theorem)."""
     axes = np.stack([one[0] - one[1], one[1] - one[2], other[0] - other[1], other[1] - other[2]])
     first, second = one @ axes.T, other @ axes.T

@@ -91,12 +91,14 @@ def camera_rays(rig: Rig) -> tuple[Floats, Floats]:
 
 def cam_to_scene(points_cam: Floats, rig: Rig) -> Floats:
     """(..., 3) rectified camera frame -> scene frame."""
-    return np.asarray((points_cam - np.array([0, rig.camera_height_m, 0])) @ rig.cam_axes_of_scene)
+    from_car = (points_cam - np.array([0, rig.camera_height_m, 0])) @ rig.cam_axes_of_scene
+    return np.asarray(from_car + np.array(rig.car_at_m))
 
 
 def scene_to_cam(points: Floats, rig: Rig) -> Floats:
     """(..., 3) scene frame -> rectified camera frame."""
-    return np.asarray(points @ rig.cam_axes_of_scene.T + np.array([0, rig.camera_height_m, 0]))
+    from_car = points - np.array(rig.car_at_m)
+    return np.asarray(from_car @ rig.cam_axes_of_scene.T + np.array([0, rig.camera_height_m, 0]))
 
 
 def scan(

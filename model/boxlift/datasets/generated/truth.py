@@ -69,7 +69,7 @@ def truth_box(item: SceneObject, rig: Rig) -> Boxes3D:
     """The object's box (length 1) in the rectified camera frame."""
     length, width, height = item.size_lwh_m
     center = scene_to_cam(np.array(item.bottom_center) + np.array([0, 0, height / 2]), rig)
-    rotation_y = item.rotation_y + np.deg2rad(rig.camera_yaw_deg)
+    rotation_y = item.rotation_y + np.deg2rad(rig.camera_yaw_deg) + rig.car_heading_rad
     sides = (np.array([side]) for side in (length, width, height, rotation_y))
     return Boxes3D(center[None], *sides)
 

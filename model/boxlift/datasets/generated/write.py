@@ -46,9 +46,9 @@ def write_frame(root: Path, name: str, generated: GeneratedFrame) -> None:
     (paths["calib"] / f"{name}.txt").write_text(calibration_text(generated.rig), encoding="utf-8")
     (paths["label_2"] / f"{name}.txt").write_text(kitti_label.to_text(generated.truth), encoding="utf-8")
     if frame.image is not None:
-        _write_png(paths["image_2"] / f"{name}.png", frame.image)
+        write_png(paths["image_2"] / f"{name}.png", frame.image)
     if frame.instance_ids is not None:
-        _write_png(paths["masks"] / f"{name}.png", frame.instance_ids.astype(np.uint16))
+        write_png(paths["masks"] / f"{name}.png", frame.instance_ids.astype(np.uint16))
 
 
 def calibration_text(rig: Rig) -> str:
@@ -64,7 +64,8 @@ def calibration_text(rig: Rig) -> str:
     return "".join(f"{key}: {' '.join(f'{n:.12e}' for n in row.ravel())}\n" for key, row in rows.items())
 
 
-def _write_png(path: Path, pixels: NDArray[np.unsignedinteger]) -> None:
+def write_png(path: Path, pixels: NDArray[np.unsignedinteger]) -> None:
+    """Raises MissingExtraError without Pillow."""
     try:
         from PIL import Image
     except ModuleNotFoundError:
