@@ -90,7 +90,8 @@ def _unmatched(given: SweepFrames, reader: DriveReader) -> UnmatchedSweep:
             continue
         ego_SE3_velo = np.array(details.view.ego_SE3_cam) @ frame.calibration.cam_SE3_velo
         points_ego = frame.points_velo[:, :3] @ ego_SE3_velo[:3, :3].T + ego_SE3_velo[:3, 3]
-        return UnmatchedSweep(points_ego, told)
+        x, y, z = (float(value) for value in -np.array(details.view.ego_SE3_cam)[:3, 1])
+        return UnmatchedSweep(points_ego, told, (x, y, z))
     return UnmatchedSweep(np.empty((0, 3)), told)
 
 

@@ -56,8 +56,8 @@ _ROUNDS = 2
 _INSIDE_M = 0.6
 # What moves looks along its path, give or take.
 _PATH_YAW_RAD = 0.03
-# The span of the points along a side, without this share at either end and with this much more, is the
-# side's length where it is more than this share of the class's; give or take, and more the less is seen.
+# The span of the points along a box, without this share at either end and with this much more, is its length
+# where it is more than this share of the class's; give or take, and more the less is seen.
 _SPAN_TAIL, _SPAN_MORE_M, _SPAN_SHARE = 0.02, 0.05, 0.75
 _SPAN_SIGMA_M, _SPAN_HIDDEN = 0.15, 0.4
 _FEWEST_POINTS = 3
@@ -302,22 +302,23 @@ def _target(
 
 
 def _seen_size(box: Floats, points_xz: Floats, size: SizePull) -> SizePull:
-    """The pull of a class, and that of the points where they reach along most of a side: it ends with them.
+    """The pull of a class, and that of the points where they reach along most of its length: it ends there.
 
     Points of a side that is seen up to its end tell a length that no prior knows; where something hides the
-    end, they tell one that is too short, the more so the less they show.
+    end, they tell one that is too short, the more so the less they show. Of people, who swing their arms and
+    legs, they tell nothing.
     """
+    length_m, _, height_m = (float(side) for side in size.lwh_m)
+    along, _ = to_box_frame(box[None], points_xz)
+    low, high = np.quantile(along[0], [_SPAN_TAIL, 1 - _SPAN_TAIL])
+    span_m = float(high - low) + _SPAN_MORE_M
+    if span_m < _SPAN_SHARE * length_m or height_m > length_m:
+        return size
+    span_sigma_m = _SPAN_SIGMA_M + _SPAN_HIDDEN * max(length_m - span_m, 0.0)
+    own, seen = size.sigma_m[0] ** -2, span_sigma_m**-2
     lwh, sigma = size.lwh_m.copy(), size.sigma_m.copy()
-    for side, axis in enumerate(to_box_frame(box[None], points_xz)[:1]):
-        low, high = np.quantile(axis[0], [_SPAN_TAIL, 1 - _SPAN_TAIL])
-        span = float(high - low) + _SPAN_MORE_M
-        share = span / float(lwh[side])
-        if not share > _SPAN_SHARE:
-            continue
-        span_sigma = _SPAN_SIGMA_M + _SPAN_HIDDEN * max(float(lwh[side]) - span, 0.0)
-        own, seen = sigma[side] ** -2, span_sigma**-2
-        lwh[side] = (own * lwh[side] + seen * span) / (own + seen)
-        sigma[side] = (own + seen) ** -0.5
+    lwh[0] = (own * length_m + seen * span_m) / (own + seen)
+    sigma[0] = (own + seen) ** -0.5
     return SizePull(lwh, sigma)
 
 

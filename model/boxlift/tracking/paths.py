@@ -21,12 +21,14 @@ from boxlift.tracking.sightings import DriveSweep, Sighting
 _ROUNDS = 4
 # A box this many standard deviations off counts half.
 _HALF_AT = 2.0
-_ACCELERATION_M_S2 = 2.0
-_TURN_RAD_S2 = 0.5
-# Standing are those whose boxes moved by less than this, or less than their errors, from the first third of
-# the track to the last; or crept at a speed that drifting boxes have.
-_STILL_M, _STILL_SIGMAS = 1.0, 4.0
+_ACCELERATION_M_S2 = 3.0
+_TURN_RAD_S2 = 1.0
+# Standing are those whose boxes moved by less than this over the track, or by less than their errors; or
+# crept at a speed that drifting boxes have.
+_STILL_M, _STILL_SIGMAS = 1.0, 3.0
 _CREEP_M_S, _CREPT_M = 0.5, 2.5
+# Boxes scatter by at least this share of their length, however even a few of them look.
+_SCATTER_SHARE = 0.1
 # People stand closer to where they stood, by this share.
 _PEOPLE = 0.5
 # Slower than this, direction of motion says nothing of the heading.
@@ -77,19 +79,31 @@ def path_of(track: Track, sweeps: Sequence[DriveSweep]) -> Path:
 
 
 def _moves(sightings: Sequence[Sighting], sweeps: Sequence[DriveSweep]) -> bool:
-    third = -(-len(sightings) // 3)
-    ends = sightings[:third], sightings[-third:]
-    (start, start_sigma), (end, end_sigma) = (_robust_mean(each) for each in ends)
-    moved_m = float(np.linalg.norm((end - start)[:2]))
-    times = [float(np.mean([sweeps[each.sweep].time_s for each in part])) for part in ends]
-    speed = moved_m / max(times[1] - times[0], 1e-3)
+    """By a straight line through the bottoms of its boxes: it went farther than boxes drift and err."""
+    times = np.array([sweeps[each.sweep].time_s for each in sightings])
+    middle_s = times - times.mean()
+    bottoms = np.array([_bottom(each) for each in sightings])[:, :2]
+    sigma = np.array([each.sigma_m for each in sightings])
+    weights = sigma**-2
+    for _ in range(_ROUNDS):
+        start = weights @ bottoms / weights.sum()
+        spread = float(weights @ middle_s**2) - float(weights @ middle_s) ** 2 / float(weights.sum())
+        velocity = (weights * middle_s) @ (bottoms - start) / max(spread, 1e-9)
+        off = np.linalg.norm(bottoms - start - middle_s[:, None] * velocity, axis=1)
+        weights = sigma**-2 / (1 + (off / sigma / _HALF_AT) ** 2)
+    speed, lasted_s = float(np.linalg.norm(velocity)), float(np.ptp(times))
+    least_m = _SCATTER_SHARE * float(np.median([max(each.lwh_m[:2]) for each in sightings]))
+    scatter = max(float(np.sqrt(weights @ off**2 / weights.sum())), least_m)
+    # Boxes of neighbouring sweeps err alike: as if every fourth told something new.
+    sigma_m_s = scatter / max(float(np.std(times)) * np.sqrt(max(len(times) / 4, 1)), 1e-9)
+    moved_m, sigma_m = speed * lasted_s, sigma_m_s * lasted_s
     smaller = _PEOPLE if sightings[0].is_upright else 1.0
-    sure = moved_m > max(smaller * _STILL_M, _STILL_SIGMAS * float(np.hypot(start_sigma, end_sigma)))
+    sure = moved_m > max(smaller * _STILL_M, _STILL_SIGMAS * sigma_m)
     return sure and (speed > smaller * _CREEP_M_S or moved_m > smaller * _CREPT_M)
 
 
-def _robust_mean(sightings: Sequence[Sighting]) -> tuple[Floats, float]:
-    """Middle (3,) of the bottoms of boxes, and its standard deviation in metres."""
+def _robust_mean(sightings: Sequence[Sighting]) -> Floats:
+    """Middle (3,) of the bottoms of boxes."""
     bottoms = np.array([_bottom(each) for each in sightings])
     sigma = np.array([each.sigma_m for each in sightings])
     weights = sigma**-2
@@ -98,9 +112,8 @@ def _robust_mean(sightings: Sequence[Sighting]) -> tuple[Floats, float]:
         middle = weights @ bottoms / weights.sum()
         off = np.linalg.norm((bottoms - middle)[:, :2], axis=1) / sigma
         weights = sigma**-2 / (1 + (off / _HALF_AT) ** 2)
-    spread = np.sqrt(weights @ ((bottoms - middle)[:, :2] ** 2).sum(1) / weights.sum())
-    # Boxes of neighbouring sweeps err alike: as if every fourth told something new.
-    return middle, float(max(spread, sigma.min()) / np.sqrt(max(len(sightings) / 4, 1)))
+    place: Floats = middle
+    return place
 
 
 def _bottom(sighting: Sighting) -> Floats:
@@ -111,7 +124,7 @@ def _bottom(sighting: Sighting) -> Floats:
 def _standing(
     sightings: Sequence[Sighting], sweeps: Sequence[DriveSweep], motion: Motion = Motion.STATIC
 ) -> Path:
-    bottom, _ = _robust_mean(sightings)
+    bottom = _robust_mean(sightings)
     up = np.mean([sweeps[each.sweep].up_world for each in sightings], axis=0)
     heading = _common_axis(sightings)
     first, last = sightings[0].sweep, sightings[-1].sweep

@@ -166,14 +166,14 @@ def _gather(
 ) -> None:
     labelled = details.objects[item]
     world_SE3_cam = camera_pose(sweep, details)
-    object_SE3_cam = inverse(tracked.path.world_SE3_object(sweep.number)) @ world_SE3_cam
-    box = transformed(_parameters(labelled)[None], object_SE3_cam)[0]
     glimpse = None
     # A single box is all there is to know.
     if view is not None and len(tracked.track.sightings) > 1:
         height_m = settings.sizes[labelled.category].height_m
         glimpse = Glimpse.of(view, item, sweep.number, world_SE3_cam, height_m, labelled.score)
         glimpse = glimpse if len(glimpse.region.inside) else None
+    object_SE3_cam = inverse(tracked.path.world_SE3_object(sweep.number)) @ world_SE3_cam
+    box = transformed(_parameters(labelled)[None], object_SE3_cam)[0]
     gathered.add(glimpse, box, labelled.score)
 
 
