@@ -80,6 +80,11 @@ class FusedBox:
     energy: float | None
     shows_size: bool
 
+    @property
+    def cost(self) -> float:
+        """What speaks against it, the boxes of the single frames counted."""
+        return (np.inf if self.energy is None else self.energy) - _AGREEMENT_WORTH * self.agreement
+
 
 @dataclass(frozen=True)
 class _Cloud:

@@ -25,7 +25,9 @@ _ACCELERATION_M_S2 = 3.0
 _TURN_RAD_S2 = 1.0
 # Standing are those whose boxes moved by less than this over the track, or by less than their errors; or
 # crept at a speed that drifting boxes have.
-_STILL_M, _STILL_SIGMAS = 1.0, 3.0
+_STILL_M, _STILL_SIGMAS = 1.0, 4.0
+# Moving for sure are those that went farther than this, and than so many of their errors.
+_FAR_M, _SURE_SIGMAS = 4.0, 8.0
 _CREEP_M_S, _CREPT_M = 0.5, 2.5
 # Boxes scatter by at least this share of their length, however even a few of them look.
 _SCATTER_SHARE = 0.1
@@ -70,16 +72,27 @@ class Path:
         return pose(self.axes_world[row], self.bottom_world[row])
 
 
-def path_of(track: Track, sweeps: Sequence[DriveSweep]) -> Path:
-    """The path that the boxes of a track show."""
+def paths_of(track: Track, sweeps: Sequence[DriveSweep]) -> tuple[Path, ...]:
+    """The path that the boxes of a track show; two, the likelier first, where they leave in doubt whether it
+    moved."""
     sightings = track.sightings
     if len(sightings) == 1:
-        return _standing(sightings, sweeps, Motion.UNKNOWN)
-    return _moving(sightings, sweeps) if _moves(sightings, sweeps) else _standing(sightings, sweeps)
+        return (_standing(sightings, sweeps, Motion.UNKNOWN),)
+    moved_m, sigma_m, speed_m_s = _displacement(sightings, sweeps)
+    smaller = _PEOPLE if sightings[0].is_upright else 1.0
+    crept = speed_m_s < smaller * _CREEP_M_S and moved_m < smaller * _CREPT_M
+    moves = moved_m > max(smaller * _STILL_M, _STILL_SIGMAS * sigma_m) and not crept
+    if not moves and moved_m < smaller * _STILL_M / 2:
+        return (_standing(sightings, sweeps),)
+    if moves and moved_m > max(smaller * _FAR_M, _SURE_SIGMAS * sigma_m):
+        return (_moving(sightings, sweeps),)
+    both = _standing(sightings, sweeps), _moving(sightings, sweeps)
+    return both[::-1] if moves else both
 
 
-def _moves(sightings: Sequence[Sighting], sweeps: Sequence[DriveSweep]) -> bool:
-    """By a straight line through the bottoms of its boxes: it went farther than boxes drift and err."""
+def _displacement(sightings: Sequence[Sighting], sweeps: Sequence[DriveSweep]) -> tuple[float, float, float]:
+    """How far a track went by a straight line through the bottoms of its boxes, the standard deviation of
+    that, and the speed; metres and seconds."""
     times = np.array([sweeps[each.sweep].time_s for each in sightings])
     middle_s = times - times.mean()
     bottoms = np.array([_bottom(each) for each in sightings])[:, :2]
@@ -96,10 +109,7 @@ def _moves(sightings: Sequence[Sighting], sweeps: Sequence[DriveSweep]) -> bool:
     scatter = max(float(np.sqrt(weights @ off**2 / weights.sum())), least_m)
     # Boxes of neighbouring sweeps err alike: as if every fourth told something new.
     sigma_m_s = scatter / max(float(np.std(times)) * np.sqrt(max(len(times) / 4, 1)), 1e-9)
-    moved_m, sigma_m = speed * lasted_s, sigma_m_s * lasted_s
-    smaller = _PEOPLE if sightings[0].is_upright else 1.0
-    sure = moved_m > max(smaller * _STILL_M, _STILL_SIGMAS * sigma_m)
-    return sure and (speed > smaller * _CREEP_M_S or moved_m > smaller * _CREPT_M)
+    return speed * lasted_s, sigma_m_s * lasted_s, speed
 
 
 def _robust_mean(sightings: Sequence[Sighting]) -> Floats:

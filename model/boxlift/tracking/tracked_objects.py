@@ -21,7 +21,7 @@ from boxlift.tracking.drive import DriveReader, camera_pose, prompts_of
 from boxlift.tracking.fused_fit import FusedBox, fit_fused, transformed
 from boxlift.tracking.glimpses import Glimpse
 from boxlift.tracking.linking import Track
-from boxlift.tracking.paths import Motion, Path, path_of
+from boxlift.tracking.paths import Motion, Path, paths_of
 from boxlift.tracking.sightings import DriveSweep
 
 # Kept of the frames that saw one object; beyond, every other is let go.
@@ -29,6 +29,8 @@ _MOST_GLIMPSES = 64
 # What a box keeps of its score that no other frame confirms.
 _UNCONFIRMED = 0.5
 _FROZEN_SIGMA_M = 1e-3
+# What the frames have to say more for a path than for a place, which is simpler.
+_MOVING_COST = 4.0
 # A fused box that overlaps those of the single frames by less is not theirs: they keep their own.
 _LEAST_AGREEMENT = 0.2
 
@@ -93,21 +95,31 @@ class TrackedObject:
 
 @dataclass
 class _Gathered:
-    """What has been seen of an object so far: a sample of glimpses; boxes (7,) in its frame and scores."""
+    """What has been seen of an object so far: a sample of glimpses; of all boxes the sweep, the camera's pose
+    (4, 4), the box there (7,) and its score."""
 
     glimpses: list[Glimpse] = field(default_factory=list)
-    boxes: list[Floats] = field(default_factory=list)
-    scores: list[float] = field(default_factory=list)
+    boxes: list[tuple[int, Floats, Floats, float]] = field(default_factory=list)
     stride: int = 1
 
-    def add(self, glimpse: Glimpse | None, box: Floats, score: float) -> None:
+    def add(
+        self, glimpse: Glimpse | None, sweep: int, world_SE3_cam: Floats, box: Floats, score: float
+    ) -> None:
         if glimpse is not None and len(self.boxes) % self.stride == 0:
             self.glimpses.append(glimpse)
-        self.boxes.append(box)
-        self.scores.append(score)
+        self.boxes.append((sweep, world_SE3_cam, box, score))
         if len(self.glimpses) > _MOST_GLIMPSES:
             self.glimpses = self.glimpses[::2]
             self.stride *= 2
+
+    def boxes_along(self, path: Path) -> Floats:
+        """(S, 7) the boxes in the object's frame."""
+        return np.concatenate(
+            [
+                transformed(box[None], inverse(path.world_SE3_object(sweep)) @ world_SE3_cam)
+                for sweep, world_SE3_cam, box, _ in self.boxes
+            ]
+        )
 
 
 def tracked_objects(
@@ -119,7 +131,8 @@ def tracked_objects(
     LabelFormatError, OSError; frames that cannot be loaded show nothing.
     """
     objects = [
-        TrackedObject(number, track, path_of(track, sweeps)) for number, track in enumerate(tracks, start=1)
+        TrackedObject(number, track, paths_of(track, sweeps)[0])
+        for number, track in enumerate(tracks, start=1)
     ]
     members: defaultdict[int, list[tuple[int, int, int]]] = defaultdict(list)
     for row, each in enumerate(objects):
@@ -132,7 +145,7 @@ def tracked_objects(
                 _gather(gathered[row], objects[row], sweep, view, details, item, settings)
         ended = [row for row in list(gathered) if objects[row].track.sightings[-1].sweep <= sweep.number]
         for row in ended:
-            objects[row].fused = _fuse(objects[row], gathered.pop(row), settings)
+            _fuse(objects[row], gathered.pop(row), sweeps, settings)
     return objects
 
 
@@ -172,9 +185,7 @@ def _gather(
         height_m = settings.sizes[labelled.category].height_m
         glimpse = Glimpse.of(view, item, sweep.number, world_SE3_cam, height_m, labelled.score)
         glimpse = glimpse if len(glimpse.region.inside) else None
-    object_SE3_cam = inverse(tracked.path.world_SE3_object(sweep.number)) @ world_SE3_cam
-    box = transformed(_parameters(labelled)[None], object_SE3_cam)[0]
-    gathered.add(glimpse, box, labelled.score)
+    gathered.add(glimpse, sweep.number, world_SE3_cam, _parameters(labelled), labelled.score)
 
 
 def _parameters(labelled: ObjectDetails) -> Floats:
@@ -185,13 +196,21 @@ def _parameters(labelled: ObjectDetails) -> Floats:
     return np.array([x, z, box.rotation_y, *size, y + box.height_m / 2])
 
 
-def _fuse(tracked: TrackedObject, gathered: _Gathered, settings: LabellerSettings) -> FusedBox | None:
+def _fuse(
+    tracked: TrackedObject, gathered: _Gathered, sweeps: Sequence[DriveSweep], settings: LabellerSettings
+) -> None:
+    """Fit the object's box along its path; where two are in doubt, along that which its frames speak for."""
     if not gathered.glimpses:
-        return None
-    boxes, scores = np.array(gathered.boxes), np.array(gathered.scores)
+        return
+    scores = np.array([score for *_, score in gathered.boxes])
     size = _size_pull(tracked.track.category, settings)
-    fused = fit_fused(gathered.glimpses, tracked.path, boxes, scores, size, settings)
-    return fused if fused.agreement >= _LEAST_AGREEMENT else None
+    fits = []
+    for path in paths_of(tracked.track, sweeps):
+        boxes = gathered.boxes_along(path)
+        fits.append((fit_fused(gathered.glimpses, path, boxes, scores, size, settings), path))
+    fused, path = min(fits, key=lambda fit: fit[0].cost + _MOVING_COST * (not fit[1].stands))
+    if fused.agreement >= _LEAST_AGREEMENT:
+        tracked.path, tracked.fused = path, fused
 
 
 def _size_pull(category: str, settings: LabellerSettings) -> SizePull:
