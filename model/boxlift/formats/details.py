@@ -86,7 +86,7 @@ class ObjectDetails(_Details):
     category: str = Field(
         serialization_alias="class",
         validation_alias=AliasChoices("category", "class"),
-        description="Class of the prompt.",
+        description="Class of the prompt; of a track's object the one that most of its boxes have.",
     )
     prompt_box_px: tuple[float, float, float, float] = Field(description="x1, y1, x2, y2 of the prompt.")
     prompt_score: float
@@ -96,7 +96,7 @@ class ObjectDetails(_Details):
     iou_probability: tuple[float, float] | None = Field(
         None,
         description="Calibrated probabilities that the 3D IoU with the truth exceeds 0.5 and 0.7; only with "
-        "the preset accurate.",
+        "the preset accurate, and for boxes of the frame itself.",
     )
     depth_spread: float | None = Field(
         None,
@@ -234,23 +234,41 @@ def object_details_of(label: ObjectLabel) -> ObjectDetails:
 
 def with_box(
     item: ObjectDetails,
-    box: Boxes3D | None,
+    category: str,
+    box: Boxes3D,
     score: float,
     flags: tuple[str, ...],
     track: TrackDetails,
-    result: Result = Result.FITTED,
+    result: Result,
 ) -> ObjectDetails:
-    """An object as its track has it: with that box (None: its own), and its own as a rejected one."""
-    changes: dict[str, object] = {"score": _rounded(score), "flags": flags, "track": track}
-    if box is not None:
-        changes |= {"box": _box(box), "losses": None, "result": result.name, "sentence": result.value}
-        if item.box is not None:
-            own = RejectedDetails(reason="What this frame alone says.", box=item.box, losses=item.losses)
-            changes["rejected"] = (own, *item.rejected)
-        written = kitti_label.from_box3d(item.category, item.prompt_box_px, box, score)
-        changes["kitti"] = _kitti(written)
-    elif item.kitti is not None:
-        changes["kitti"] = item.kitti.model_copy(update={"score": _rounded(score)})
+    """An object with the class and the box of its track, and its own box as a rejected one."""
+    rejected = item.rejected
+    if item.box is not None:
+        own = RejectedDetails(reason="What this frame alone says.", box=item.box, losses=item.losses)
+        rejected = (own, *rejected)
+    written = kitti_label.from_box3d(category, item.prompt_box_px, box, score)
+    changes: dict[str, object] = {
+        "category": category,
+        "result": result.name,
+        "sentence": result.value,
+        "score": _rounded(score),
+        "iou_probability": None,
+        "flags": flags,
+        "box": _box(box),
+        "kitti": _kitti(written),
+        "losses": None,
+        "rejected": rejected,
+        "track": track,
+    }
+    return item.model_copy(update=changes)
+
+
+def with_own_box(
+    item: ObjectDetails, score: float, flags: tuple[str, ...], track: TrackDetails
+) -> ObjectDetails:
+    """An object with its own box, as its track has it."""
+    kitti = None if item.kitti is None else item.kitti.model_copy(update={"score": _rounded(score)})
+    changes = {"score": _rounded(score), "flags": flags, "kitti": kitti, "track": track}
     return item.model_copy(update=changes)
 
 

@@ -13,6 +13,7 @@ from boxlift.formats.details import (
     TrackDetails,
     object_without_prompt,
     with_box,
+    with_own_box,
 )
 from boxlift.frame import Result
 from boxlift.tracking.paths import Motion
@@ -37,7 +38,6 @@ class TrackedBox:
     category: str
     score: float
     box: Boxes3D | None = None
-    iou_probability: tuple[float, float] | None = None
     knows_front: bool = False
     shows_size: bool = False
     points: int = 0
@@ -73,11 +73,9 @@ def relabelled(
 def _rewritten(item: ObjectDetails, tracked: TrackedBox) -> ObjectDetails:
     flags = _flags(item.flags, tracked)
     if tracked.box is None:
-        changed = with_box(item, None, tracked.score, flags, tracked.details)
-    else:
-        result = Result.TRACKED if item.box is None or tracked.from_elsewhere else Result.FITTED
-        changed = with_box(item, tracked.box, tracked.score, flags, tracked.details, result)
-    return changed.model_copy(update={"iou_probability": tracked.iou_probability})
+        return with_own_box(item, tracked.score, flags, tracked.details)
+    result = Result.TRACKED if tracked.from_elsewhere else Result.FITTED
+    return with_box(item, tracked.category, tracked.box, tracked.score, flags, tracked.details, result)
 
 
 def _flags(flags: Sequence[str], tracked: TrackedBox) -> tuple[str, ...]:
@@ -106,12 +104,12 @@ def _appended(index: int, filled: FilledBox) -> ObjectDetails:
         filled.outline_px,
         PointDetails(in_prompt=0, above_ground=0, in_cluster=filled.points, used=0),
     )
-    changed = with_box(
+    return with_box(
         item,
+        tracked.category,
         filled.box,
         tracked.score,
         _flags(flags, tracked),
         tracked.details,
         Result.FILLED,
     )
-    return changed.model_copy(update={"iou_probability": tracked.iou_probability})

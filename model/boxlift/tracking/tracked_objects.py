@@ -26,8 +26,8 @@ from boxlift.tracking.sightings import DriveSweep
 
 # Kept of the frames that saw one object; beyond, every other is let go.
 _MOST_GLIMPSES = 64
-# What a box keeps of its score that no other frame confirms.
-_UNCONFIRMED = 0.5
+# What a box keeps of its score that no other frame confirms, and what one gets in a frame that had none.
+_UNCONFIRMED, _FROM_ELSEWHERE = 0.5, 0.75
 _FROZEN_SIGMA_M = 1e-3
 # What the frames have to say more for a path than for a place, which is simpler.
 _MOVING_COST = 4.0
@@ -78,12 +78,16 @@ class TrackedObject:
         return sum(bool(look < 0) for look in looks)
 
     def score(self, own: float | None) -> float:
-        """Confidence in the box of a frame whose own box had the score `own`; None: it had none."""
+        """Confidence in the box of a frame whose own box had the score `own`; None: it had none.
+
+        Half of it is the frame's, half that of all frames on average; benchmarks/tracking.py shows what the
+        order is worth. It is no calibrated probability any more.
+        """
         if len(self.track.sightings) == 1:
             return (own or 0.0) * _UNCONFIRMED
         if self.fused is None:
             return own or 0.0
-        return self.mean_score
+        return self.mean_score * _FROM_ELSEWHERE if own is None else (self.mean_score + own) / 2
 
     def box_in(self, world_SE3_cam: Floats, sweep: int) -> Boxes3D | None:
         """The fused box in a camera (4, 4) at a sweep, of length 1; None where there is none."""
