@@ -8,8 +8,8 @@ users have: a data set is labelled, the label set tracked.
 
 Recall and precision (of all boxes, those that no truth has included) are in %, at 3D IoU .5 and .7 for
 vehicles and .25 and .5 for people. Errors are means of length and width (m), of the centre (m), and medians
-of the heading (degrees; front and back alike, then told apart). Switches: boxes of a truth whose track differs
-from that of its box before; before tracking, boxes have the ids of those that they overlap a frame before.
+of the heading (degrees; front and back alike, then told apart). Switches: boxes of a truth whose track
+differs from that of its box before; before tracking, boxes have the ids of those they overlap a frame before.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Container
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,7 +34,7 @@ def write_failed(out: AnyPath, ledger: LedgerState) -> None:
     write_whole(path, text.getvalue().encode())
 
 
-def remove_leftovers(out: AnyPath, ledger: LedgerState) -> None:
+def remove_leftovers(out: AnyPath, done: Container[str]) -> None:
     """Remove the temporary files of writers that were killed (a bucket has none).
 
     Only those of frames that are done: nobody is writing these any more, while those of other frames may
@@ -44,5 +45,5 @@ def remove_leftovers(out: AnyPath, ledger: LedgerState) -> None:
     for folder in ("data", "details"):
         for path in (out / folder).glob(".*.tmp"):
             # .STEM.txt.PID-THREAD.tmp, see boxlift.storage.write_whole
-            if path.name[1:].rsplit(".", 3)[0] in ledger.done:
+            if path.name[1:].rsplit(".", 3)[0] in done:
                 path.unlink(missing_ok=True)

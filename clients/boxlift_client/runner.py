@@ -82,7 +82,7 @@ def label_dataset(
         writer.flush()
     # Read again: other shards have written meanwhile.
     ledger = read_ledger(job.out / LEDGER)
-    remove_leftovers(job.out, ledger)
+    remove_leftovers(job.out, ledger.done)
     write_failed(job.out, ledger)
     summary.seconds = perf_counter() - start
     return summary

@@ -29,6 +29,7 @@ from boxlift_client.drive_record import (
 from boxlift_client.errors import RunStoppedError
 from boxlift_client.label_files import details_path, write_label_files
 from boxlift_client.label_set import LabelSetIndex, SweepEntry
+from boxlift_client.leftovers import remove_leftovers
 from boxlift_client.manifest import Manifest, join_tracked_set, read_manifest
 
 if TYPE_CHECKING:
@@ -153,6 +154,10 @@ def track_label_set(
         else:
             summary.failed.append((drive or "drive", result))
         progress.finish(frames)
+    recorded = {record.drive for record in summary.records}
+    remove_leftovers(
+        job.out, {name for drive in recorded for entry in drives[drive] for name in entry.frames}
+    )
     summary.records.sort(key=lambda record: record.drive)
     summary.seconds = perf_counter() - start
     return summary

@@ -33,7 +33,7 @@ Fill = Literal["none", "gaps", "view"]
 
 # Objects of so many sightings and such a mean score are looked for in other frames; standing ones this long
 # before and after they were seen.
-_FEWEST_SIGHTINGS, _LEAST_SCORE = 3, 0.2
+_FEWEST_SIGHTINGS, _LEAST_SCORE = 3, 0.35
 _LOOK_AROUND_S = 5.0
 # A track of no more sightings than this confirms nothing: its prompts may be another's.
 _UNCONFIRMED = 2

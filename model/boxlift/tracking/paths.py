@@ -12,11 +12,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from boxlift.boxes import wrap_angle
 from boxlift.poses import Floats, pose
 from boxlift.tracking.linking import Track
 from boxlift.tracking.sightings import DriveSweep, Sighting
+
+Rows = NDArray[np.intp]
 
 _ROUNDS = 4
 # A box this many standard deviations off counts half.
@@ -166,7 +169,7 @@ def _moving(sightings: Sequence[Sighting], sweeps: Sequence[DriveSweep]) -> Path
     return Path(Motion.MOVING, first, last, places, _axes(headings, ups), knows_front=True)
 
 
-def _headings(times: Floats, rows: Floats, sightings: Sequence[Sighting], velocity_m_s: Floats) -> Floats:
+def _headings(times: Floats, rows: Rows, sightings: Sequence[Sighting], velocity_m_s: Floats) -> Floats:
     """(K,) headings along a path from the direction of motion and the axes of the boxes."""
     speed = np.linalg.norm(velocity_m_s, axis=1)
     direction = np.arctan2(velocity_m_s[:, 1], velocity_m_s[:, 0])
@@ -196,7 +199,7 @@ def _headings(times: Floats, rows: Floats, sightings: Sequence[Sighting], veloci
 
 
 def smooth(
-    times: Floats, rows: Floats, values: Floats, sigmas: Floats, acceleration: float
+    times: Floats, rows: Rows, values: Floats, sigmas: Floats, acceleration: float
 ) -> tuple[Floats, Floats]:
     """Values (M, D) with sigmas (M,), measured at times[rows], rows ascending -> values and velocities
     (K, D) at all times (K,)."""
@@ -210,7 +213,7 @@ def smooth(
 
 
 def _rts(
-    times: Floats, rows: Floats, values: Floats, sigmas: Floats, acceleration: float
+    times: Floats, rows: Rows, values: Floats, sigmas: Floats, acceleration: float
 ) -> tuple[Floats, Floats]:
     count, dimensions = len(times), values.shape[1]
     mean, covariance = np.zeros((2, dimensions)), np.diag([1e6, 1e4])

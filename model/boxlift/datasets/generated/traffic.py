@@ -86,7 +86,12 @@ class Traffic:
                 if other is not mover and np.hypot(other.x - mover.x, other.y - mover.y) < reach_m + 12
             ]
             blocked = any(overlap(own, other) for own in ahead for other in others)
+            place = mover.x, mover.y, mover.heading_rad
             mover.advance(step_s, self._scene.terrain, blocked)
+            if any(overlap(mover.footprint(), other) for other in others):
+                # Somebody came from the side.
+                mover.x, mover.y, mover.heading_rad = place
+                mover.speed_m_s = 0.0
 
     def own_place(self) -> tuple[tuple[float, float, float], float]:
         """Where the own car stands and how far left of forward it looks."""
