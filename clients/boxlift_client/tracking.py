@@ -127,6 +127,7 @@ def track_label_set(
     where a run has to stop; what is done by then stays done. Raises OSError.
     """
     start = perf_counter()
+    LabelSetIndex.names_in(job.label_set)  # raises where there is no label set
     manifest = read_manifest(job.label_set)
     if manifest is None or manifest.tracking is not None:
         problem = "is tracked already" if manifest else "has no manifest, as those of boxlift label have"
@@ -269,12 +270,11 @@ def track_drive(
         return record
     except MissingExtraError:
         raise
-    except BoxliftError as error:
-        return str(error)
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+    except Exception as error:
+        # One drive's surprise must not cost the others; a full disk is everybody's.
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise RunStoppedError(f"The run stopped at drive {drive!r}: {error}") from None
-        return f"{type(error).__name__}: {error}"
+        return str(error) if isinstance(error, BoxliftError) else f"{type(error).__name__}: {error}"
 
 
 def _counted(count: int, noun: str) -> str:

@@ -8,7 +8,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from boxlift.errors import InputError
+from boxlift.errors import DatasetError, InputError
 from boxlift.formats.details import FrameDetails
 from boxlift.frame import Frame, Prompt
 from boxlift.poses import Floats
@@ -45,8 +45,11 @@ class Survey:
 
 
 def survey(given: Sequence[SweepFrames], reader: DriveReader, poses: Poses) -> Survey:
-    """Read a drive once. Raises LabelFormatError, OSError, and MissingExtraError where sweeps are to be
-    matched and KISS-ICP is not there. What cannot be loaded is passed over."""
+    """Read a drive once. What cannot be loaded is passed over.
+
+    Raises LabelFormatError, OSError, DatasetError where the data set's poses are asked for and it has none, and
+    MissingExtraError where sweeps are to be matched and KISS-ICP is not there.
+    """
     start_ns = next((each.timestamp_ns for each in given if each.timestamp_ns is not None), 0)
     sweeps, sightings = [], []
     found = _matched(given, reader) if poses == "matched" else _told(given, reader)
@@ -60,10 +63,15 @@ def survey(given: Sequence[SweepFrames], reader: DriveReader, poses: Poses) -> S
 
 
 def _told(given: Sequence[SweepFrames], reader: DriveReader) -> Iterator[Floats]:
-    """The data set's poses; where a sweep has none, that of the sweep before."""
+    """The data set's poses; a sweep without LiDAR is where the one before it was."""
     pose = np.eye(4)
     for each in given:
-        told = _told_pose([reader.details(name) for name in each.frames])
+        frames = [reader.details(name) for name in each.frames]
+        told = _told_pose(frames)
+        if told is None and any(frame.view is not None for frame in frames):
+            raise DatasetError(
+                each.frames[0], "the data set has no pose of this sweep.", "Leave --poses dataset out."
+            )
         pose = pose if told is None else told
         yield pose
 

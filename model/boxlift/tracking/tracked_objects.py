@@ -13,9 +13,10 @@ from boxlift.accurate.pipeline import size_pull
 from boxlift.accurate.polish import SizePull
 from boxlift.accurate.view import View
 from boxlift.boxes import Boxes3D
-from boxlift.errors import InputError
+from boxlift.errors import InputError, OptionsError
 from boxlift.formats.details import FrameDetails, ObjectDetails
 from boxlift.poses import Floats, inverse
+from boxlift.priors import SizePrior
 from boxlift.settings import LabellerSettings
 from boxlift.tracking.drive import DriveReader, camera_pose, prompts_of
 from boxlift.tracking.fused_fit import FusedBox, fit_fused, transformed
@@ -186,7 +187,7 @@ def _gather(
     glimpse = None
     # A single box is all there is to know.
     if view is not None and len(tracked.track.sightings) > 1:
-        height_m = settings.sizes[labelled.category].height_m
+        height_m = _prior(labelled.category, settings).height_m
         glimpse = Glimpse.of(view, item, sweep.number, world_SE3_cam, height_m, labelled.score)
         glimpse = glimpse if len(glimpse.region.inside) else None
     gathered.add(glimpse, sweep.number, world_SE3_cam, _parameters(labelled), labelled.score)
@@ -219,8 +220,19 @@ def _fuse(
 
 def _size_pull(category: str, settings: LabellerSettings) -> SizePull:
     """Sizes that single frames did not refine stay frozen."""
-    prior = settings.sizes[category]
+    prior = _prior(category, settings)
     if settings.repairs is not None and settings.repairs.size == "refined":
         return size_pull(prior)
     frozen = np.array([prior.length_m, prior.width_m, prior.height_m])
     return SizePull(frozen, np.full(3, _FROZEN_SIGMA_M))
+
+
+def _prior(category: str, settings: LabellerSettings) -> SizePrior:
+    try:
+        return settings.sizes[category]
+    except KeyError:
+        raise OptionsError(
+            "class",
+            f"{category!r} has no size among those that the labels were made with.",
+            "Label the frames again with --priors that have it.",
+        ) from None
