@@ -8,6 +8,7 @@ import pytest
 
 _SHARED = Path(__file__).resolve().parents[2] / "shared"
 _KITTI_OBJECT = _SHARED / "kitti" / "object"
+_KITTI_SEQUENCES = _SHARED / "kitti" / "sequences"
 _ORACLE = _SHARED / "oracle"
 
 
@@ -17,6 +18,14 @@ def kitti_object_root() -> Path:
     if not (_KITTI_OBJECT / "training").is_dir():
         pytest.skip("no real frames in ../shared/kitti/object")
     return _KITTI_OBJECT
+
+
+@pytest.fixture(scope="session")
+def kitti_sequences_root() -> Path:
+    """Folder of real drives; their frames are in object/ and weak/ beside it."""
+    if not _KITTI_SEQUENCES.is_dir():
+        pytest.skip("no real drives in ../shared/kitti/sequences")
+    return _KITTI_SEQUENCES
 
 
 @pytest.fixture(scope="session")
@@ -30,7 +39,9 @@ def oracle_root() -> Path:
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Say once that tests on real frames did not run."""
     missing = [
-        f"../shared/{path.relative_to(_SHARED)}" for path in (_KITTI_OBJECT, _ORACLE) if not path.is_dir()
+        f"../shared/{path.relative_to(_SHARED)}"
+        for path in (_KITTI_OBJECT, _KITTI_SEQUENCES, _ORACLE)
+        if not path.is_dir()
     ]
     if missing:
         terminalreporter.write_line(

@@ -47,8 +47,8 @@ class Survey:
 def survey(given: Sequence[SweepFrames], reader: DriveReader, poses: Poses) -> Survey:
     """Read a drive once. What cannot be loaded is passed over.
 
-    Raises LabelFormatError, OSError, DatasetError where the data set's poses are asked for and it has none, and
-    MissingExtraError where sweeps are to be matched and KISS-ICP is not there.
+    Raises LabelFormatError, OSError, DatasetError where the data set's poses are asked for and it has none,
+    and MissingExtraError where sweeps are to be matched and KISS-ICP is not there.
     """
     start_ns = next((each.timestamp_ns for each in given if each.timestamp_ns is not None), 0)
     sweeps, sightings = [], []

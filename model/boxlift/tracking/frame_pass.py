@@ -51,11 +51,15 @@ _MAY_OVERLAP = 0.1
 
 @dataclass(frozen=True)
 class _Visible:
-    """An object where it would be in a frame: its box and outline (4,) px, cut to the image."""
+    """An object where it would be in a frame: its box and outline (4,) px, cut to the image.
+
+    in_view: whether its middle and enough of it are in the image to put a box where no prompt is.
+    """
 
     tracked: TrackedObject
     box: Boxes3D
     outline_px: Floats
+    in_view: bool
 
 
 def rewritten_frames(
@@ -136,7 +140,7 @@ def _rewritten(
     rest = []
     for seen, item in _prompts_for(visible, details, own):
         if item is None:
-            rest += [seen] if seen.tracked in filling else []
+            rest += [seen] if seen.in_view and seen.tracked in filling else []
         else:
             boxes[item] = _tracked_box(seen.tracked, seen.box, None)
     filled = _filled(rest, frame, details, boxes, settings) if rest else []
@@ -144,18 +148,23 @@ def _rewritten(
 
 
 def _visible(tracked: TrackedObject, box: Boxes3D | None, frame: Frame) -> _Visible | None:
+    """None where it is not before the camera, too far away, or wholly beyond the image's border."""
     if box is None:
         return None
     center = box.center_cam
     pixels, depth_m = frame.calibration.project(center)
-    width, height = frame.image_size_px
-    inside = (pixels[0] >= 0) & (pixels[0] < (width, height))
-    if not (_NEAREST_M < depth_m[0] < _FARTHEST_M and inside.all()):
-        return None
     outline = box.project(frame.calibration)[0]
+    if not depth_m[0] < _FARTHEST_M or np.isnan(outline).any():
+        return None
+    width, height = frame.image_size_px
     cut = outline.clip(0, np.array([width, height, width, height]) - 1.0)
-    share = np.prod(cut[2:] - cut[:2]) / max(float(np.prod(outline[2:] - outline[:2])), 1e-9)
-    return _Visible(tracked, box, cut) if share > _IN_IMAGE else None
+    sides = cut[2:] - cut[:2]
+    if (sides < 1).any():
+        return None
+    share = float(np.prod(sides)) / max(float(np.prod(outline[2:] - outline[:2])), 1e-9)
+    inside = (pixels[0] >= 0) & (pixels[0] < (width, height))  # NaN is not
+    in_view = bool(inside.all()) and share > _IN_IMAGE and depth_m[0] > _NEAREST_M
+    return _Visible(tracked, box, cut, in_view)
 
 
 def _prompts_for(
