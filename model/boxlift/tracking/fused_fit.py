@@ -55,7 +55,7 @@ _ROUNDS = 2
 # Seen from many sides an object shows more of what lies within its outline than to one frame.
 _INSIDE_M = 0.6
 # What moves looks along its path, give or take.
-_PATH_YAW_RAD = 0.03
+_PATH_YAW_RAD = 0.1
 # The span of the points along a box, without this share at either end and with this much more, is its length
 # where it is more than this share of the class's; give or take, and more the less is seen.
 _SPAN_TAIL, _SPAN_MORE_M, _SPAN_SHARE = 0.02, 0.05, 0.75

@@ -39,6 +39,10 @@ _PEOPLE = 0.5
 # Slower than this, direction of motion says nothing of the heading.
 _SLOW_M_S = 1.0
 _HEADING_RAD = np.deg2rad(6.0)
+# Along a path: axes of boxes may be off by this over their length, within bounds; the direction of motion by
+# that of a speed that is off by so much (m/s), and at least by this (rad).
+_AXIS_RAD_M, _AXIS_RAD = 0.22, (0.04, 0.35)
+_DIRECTION = 0.3, 0.05
 
 
 class Motion(StrEnum):
@@ -181,12 +185,12 @@ def _headings(times: Floats, rows: Rows, sightings: Sequence[Sighting], velocity
     for row in fast:
         measured_rows.append(int(row))
         values.append(float(ahead[row]))
-        sigmas.append(max(0.3 / float(speed[row]), 0.05))
+        sigmas.append(max(_DIRECTION[0] / float(speed[row]), _DIRECTION[1]))
     for row, each in zip(rows.tolist(), sightings, strict=True):
         axis = ahead[row] + float(wrap_angle(np.array(2 * (each.heading_rad - ahead[row])))) / 2
         measured_rows.append(int(row))
         values.append(axis)
-        sigmas.append(_HEADING_RAD / max(each.score, 0.1))
+        sigmas.append(_axis_sigma_rad(each) / max(each.score, 0.1))
     order = np.argsort(measured_rows, kind="stable")
     headings, _ = smooth(
         times,
@@ -196,6 +200,12 @@ def _headings(times: Floats, rows: Rows, sightings: Sequence[Sighting], velocity
         _TURN_RAD_S2,
     )
     return headings[:, 0]
+
+
+def _axis_sigma_rad(sighting: Sighting) -> float:
+    """How far the axis of a box may be off: the longer the box, the less."""
+    longest, shortest = _AXIS_RAD
+    return float(np.clip(_AXIS_RAD_M / sighting.lwh_m[0], longest, shortest))
 
 
 def smooth(
