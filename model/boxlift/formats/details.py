@@ -6,6 +6,8 @@ bytes. KITTI's own numbers are rounded as KITTI writes them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
@@ -229,6 +231,17 @@ def object_details_of(label: ObjectLabel) -> ObjectDetails:
         losses=None if label.losses is None else _losses(label.losses),
         points=_points(label.points),
         rejected=tuple(_rejected(hypothesis) for hypothesis in label.rejected),
+    )
+
+
+def boxes3d_of_details(boxes: Sequence[BoxDetails]) -> Boxes3D:
+    """The boxes of details, in their camera."""
+    return Boxes3D(
+        np.array([box.center_cam for box in boxes], dtype=np.float64).reshape(-1, 3),
+        np.array([box.length_m for box in boxes], dtype=np.float64),
+        np.array([box.width_m for box in boxes], dtype=np.float64),
+        np.array([box.height_m for box in boxes], dtype=np.float64),
+        np.array([box.rotation_y for box in boxes], dtype=np.float64),
     )
 
 

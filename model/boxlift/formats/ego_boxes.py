@@ -9,7 +9,7 @@ import numpy as np
 
 from boxlift.boxes import Boxes3D
 from boxlift.camera import Calibration, Floats
-from boxlift.formats.details import FrameDetails
+from boxlift.formats.details import FrameDetails, boxes3d_of_details
 from boxlift.formats.kitti_label import KittiObject, boxes3d_of, from_box3d
 from boxlift.poses import inverse
 from boxlift.sweep import EgoObject, SweepLabels
@@ -114,15 +114,8 @@ def sweep_labels_of_details(details: FrameDetails) -> SweepLabels:
     """What one view has of its sweep, in the ego frame of the view; without a view the camera's is taken."""
     view = details.view
     known = [(each, each.box) for each in details.objects if each.box is not None]
-    boxes = Boxes3D(
-        np.array([box.center_cam for _, box in known], dtype=np.float64).reshape(-1, 3),
-        np.array([box.length_m for _, box in known], dtype=np.float64),
-        np.array([box.width_m for _, box in known], dtype=np.float64),
-        np.array([box.height_m for _, box in known], dtype=np.float64),
-        np.array([box.rotation_y for _, box in known], dtype=np.float64),
-    )
     objects = ego_objects(
-        boxes,
+        boxes3d_of_details([box for _, box in known]),
         LOOKING_AHEAD if view is None else np.array(view.ego_SE3_cam, dtype=np.float64),
         [each.category for each, _ in known],
         [each.score for each, _ in known],

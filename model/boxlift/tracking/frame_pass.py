@@ -18,7 +18,7 @@ from boxlift.accurate.view import View
 from boxlift.boxes import Boxes3D
 from boxlift.camera import Floats
 from boxlift.errors import InputError
-from boxlift.formats.details import FrameDetails
+from boxlift.formats.details import FrameDetails, boxes3d_of_details
 from boxlift.frame import Frame
 from boxlift.overlap import bev_intersection, iou_2d
 from boxlift.settings import LabellerSettings
@@ -215,15 +215,7 @@ def _box_of(details: FrameDetails, item: int, boxes: dict[int, TrackedBox]) -> B
     if tracked is not None and tracked.box is not None:
         return tracked.box
     box = details.objects[item].box
-    if box is None:
-        return None
-    return Boxes3D(
-        np.array([box.center_cam]),
-        np.array([box.length_m]),
-        np.array([box.width_m]),
-        np.array([box.height_m]),
-        np.array([box.rotation_y]),
-    )
+    return None if box is None else boxes3d_of_details([box])
 
 
 def _overlap(a: Boxes3D, b: Boxes3D) -> float:

@@ -16,7 +16,13 @@ from boxlift.datasets.generated import (
     generate_drive,
 )
 from boxlift.errors import NoLidarError
-from boxlift.formats.details import FrameDetails, ObjectDetails, details_of, view_details_of
+from boxlift.formats.details import (
+    FrameDetails,
+    ObjectDetails,
+    boxes3d_of_details,
+    details_of,
+    view_details_of,
+)
 from boxlift.formats.kitti_label import boxes3d_of
 from boxlift.frame import Frame, Prompt
 from boxlift.labeller import Labeller
@@ -86,12 +92,7 @@ def drive(seed: int, sweeps: int = 14, people: float = 1.0) -> Drive:
 
 def box_of(item: ObjectDetails) -> Boxes3D | None:
     """The box of one object's details."""
-    box = item.box
-    if box is None:
-        return None
-    center = np.array([box.center_cam])
-    sides = (np.array([side]) for side in (box.length_m, box.width_m, box.height_m, box.rotation_y))
-    return Boxes3D(center, *sides)
+    return None if item.box is None else boxes3d_of_details([item.box])
 
 
 def overlaps(sweep: GeneratedSweep, details: FrameDetails) -> dict[int, float]:
