@@ -12,15 +12,15 @@ Source: Vizzo et al., "KISS-ICP", IEEE Robotics and Automation Letters 8 (2), 20
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from boxlift.errors import MissingExtraError
+from boxlift.errors import DatasetError, MissingExtraError
 from boxlift.poses import inverse, pose
 
 if TYPE_CHECKING:
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 # a car has edges.
 _VOXEL_M = 0.5
 _FEWEST_POINTS = 200
+# Of what stands around a sweep the next one shows at least this share, by the median of so many pairs or
+# more: .8 at 12 m/s and two sweeps a second, .2 between frames of different places.
+_LEAST_SHARED, _FEWEST_PAIRS = 0.5, 3
 # Points lower than this above the lowest in their cell and those around it may be ground.
 _CELL_M, _OFF_GROUND_M = 1.0, 0.3
 _NEAREST_M, _FARTHEST_M = 2.5, 100.0
@@ -52,7 +55,8 @@ def matched_poses(sweeps: Iterable[UnmatchedSweep]) -> Iterator[Floats]:
     """world_SE3_ego (4, 4) of the sweeps of one drive, in their order.
 
     The world is that of the data set's poses at the first sweep, else the first sweep's ego frame. Poses are
-    good among neighbours; over a drive they drift, as odometry does. Raises MissingExtraError.
+    good among neighbours; over a drive they drift, as odometry does. Raises MissingExtraError, and
+    DatasetError where the first sweeps show nothing of each other's surroundings.
     """
     waiting = iter(sweeps)
     first = list(islice(waiting, _LEARNED_FROM))
@@ -63,12 +67,13 @@ def matched_poses(sweeps: Iterable[UnmatchedSweep]) -> Iterator[Floats]:
         for sweep in first:
             matcher.match(sweep)
         matcher = _Matcher(matcher.last_motion)
+    matched = [matcher.match(sweep) for sweep in first]
+    _require_following(first, matched)
     start = first[0].world_SE3_ego
     start = np.eye(4) if start is None else start
-    world_SE3_map = start @ inverse(matcher.match(first[0]))
-    yield start
-    for sweep in first[1:]:
-        yield world_SE3_map @ matcher.match(sweep)
+    world_SE3_map = start @ inverse(matched[0])
+    for pose_ in matched:
+        yield world_SE3_map @ pose_
     for sweep in waiting:
         yield world_SE3_map @ matcher.match(sweep)
 
@@ -130,6 +135,44 @@ def off_ground(points: Floats, up: Floats) -> Floats:
         around = np.minimum(around, np.minimum(np.roll(around, 1, axis), np.roll(around, -1, axis)))
     standing = np.ascontiguousarray(points[height > around[tuple(cells.T)] + _OFF_GROUND_M])
     return standing if len(standing) >= _FEWEST_POINTS else np.ascontiguousarray(points)
+
+
+def _require_following(sweeps: Sequence[UnmatchedSweep], poses: Sequence[Floats]) -> None:
+    """Raises DatasetError where sweeps are of different places, however they were matched."""
+    standing = [
+        off_ground(np.asarray(sweep.points_ego[:, :3], dtype=np.float64), np.array(sweep.up_ego))
+        for sweep in sweeps
+    ]
+    placed = [points @ pose_[:3, :3].T + pose_[:3, 3] for points, pose_ in zip(standing, poses, strict=True)]
+    shared = [
+        shared_surroundings(before, after)
+        for before, after in pairwise(placed)
+        if min(len(before), len(after)) >= _FEWEST_POINTS
+    ]
+    if len(shared) >= _FEWEST_PAIRS and np.median(shared) < _LEAST_SHARED:
+        raise DatasetError(
+            "sweeps",
+            "the frames do not follow each other (of what stood around one the next shows "
+            f"{100 * np.median(shared):.0f} %).",
+            "Track the frames of a drive in the order of their times, at least two a second.",
+        )
+
+
+def shared_surroundings(before: Floats, after: Floats) -> float:
+    """Share in [0, 1] of the cells of one of two clouds (N, 3), (M, 3) that lie in or beside cells of the
+    other; of the cloud that shares more, for one may be cut to a camera's view."""
+    cells, others = (
+        np.unique(np.floor(cloud / _VOXEL_M).astype(np.int64), axis=0) for cloud in (before, after)
+    )
+    around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 1, 3)
+    # Cells as numbers; a cloud is less than 2^20 cells wide.
+    low = np.minimum(cells.min(axis=0), others.min(axis=0)) - 1
+    keys = np.array([1 << 40, 1 << 20, 1])
+    shares = [
+        np.isin((own - low) @ keys, ((other + around).reshape(-1, 3) - low) @ keys).mean()
+        for own, other in ((cells, others), (others, cells))
+    ]
+    return float(max(shares))
 
 
 def _is_far(correction: Floats) -> bool:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cache
 
-import numpy as np
-
 from boxlift.boxes import Boxes3D
 from boxlift.datasets.generated import (
     KITTI_RIG,

@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 
 from boxlift.camera import Floats
+from boxlift.errors import DatasetError
 from boxlift.poses import about_z, inverse, pose
-from boxlift.tracking.odometry import UnmatchedSweep, matched_poses, off_ground
+from boxlift.tracking.odometry import (
+    UnmatchedSweep,
+    matched_poses,
+    off_ground,
+    shared_surroundings,
+)
 from model.tracking.drives import Drive, drive
 
 
@@ -55,7 +61,7 @@ def test_poses_that_drift_are_put_right_and_the_world_stays_theirs() -> None:
 
 def test_a_match_that_is_far_off_what_the_data_set_says_is_not_believed() -> None:
     """As in a sweep of something else."""
-    driven = drive(3, 4)
+    driven = drive(3)
     clouds = points(driven)
     clouds[2] = clouds[2] @ about_z(1.2).T + np.array([30.0, 0, 0])
     sweeps = [UnmatchedSweep(*pair) for pair in zip(clouds, truth(driven), strict=True)]
@@ -103,3 +109,21 @@ def test_what_lies_on_the_ground_is_left_out_whichever_way_is_up() -> None:
     assert off_ground(turned, np.array([1.0, 0, 0])).tolist() == post[:, [2, 0, 1]].tolist()
     # With nothing beside the road, the road it is.
     assert len(off_ground(road, np.array([0, 0, 1.0]))) == len(road)
+
+
+def test_frames_of_different_places_are_no_drive() -> None:
+    clouds = [points(drive(seed, 1))[0] for seed in (3, 300, 306, 7, 9)]
+    with pytest.raises(DatasetError, match="do not follow each other"):
+        list(matched_poses(UnmatchedSweep(each, None) for each in clouds))
+
+
+def test_two_sweeps_a_second_are_one() -> None:
+    clouds = points(drive(3))[::5]
+    assert len(list(matched_poses(UnmatchedSweep(each, None) for each in clouds))) == 3
+
+
+def test_a_sweep_cut_to_the_view_shares_what_is_in_it() -> None:
+    whole = off_ground(points(drive(3))[0], np.array([0, 0, 1.0]))
+    ahead = whole[(whole[:, 0] > 0) & (np.abs(whole[:, 1]) < whole[:, 0])]
+    assert shared_surroundings(whole, ahead) == shared_surroundings(ahead, whole) == 1.0
+    assert shared_surroundings(whole, whole + np.array([0, 0, 200.0])) == 0.0
