@@ -56,6 +56,9 @@ bench: $(READY)
 	$(BIN)/python benchmarks/micro_batches.py
 	$(BIN)/python benchmarks/dashboard.py
 	$(BIN)/python benchmarks/merging.py
+	$(BIN)/python benchmarks/tracking.py
+	$(BIN)/python benchmarks/tracking.py real --prompts detector
+	for what in time memory; do $(BIN)/python benchmarks/tracking_cost.py $$what || exit 1; done
 	$(BIN)/python benchmarks/kills.py --frames 900
 	$(BIN)/python benchmarks/kills.py --engine ray --frames 900
 	for what in pace engines bad memory ledger listing; do $(BIN)/python benchmarks/dataset_runs.py $$what || exit 1; done
