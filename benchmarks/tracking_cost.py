@@ -140,7 +140,9 @@ def print_memory(frames: int) -> None:
         number = int(name)
         if number % (frames // _SAMPLES) == 0:
             show(f"  frame {number}")
-        return replace(original[name], prompts=prompts)
+        # As read from a file: an array of its own, that whoever keeps a part of it keeps.
+        frame = original[name]
+        return replace(frame, prompts=prompts, points_velo=frame.points_velo.copy())
 
     show("before")
     _passes(sweeps, _Reader(labelled, load), show)

@@ -230,6 +230,12 @@ def test_a_data_set_that_has_moved_is_named(
         assert ours == theirs
 
 
+def test_a_part_of_the_frames_is_no_drive(drives: Path, tmp_path: Path, boxlift: Boxlift) -> None:
+    ran = boxlift("label", drives, "--out", tmp_path, "--prompts", "label_02", "--sequence", "--shard", "0/2")
+    assert ran.status == 2
+    assert "Give boxlift track when all parts are labelled" in ran.err
+
+
 def test_without_kiss_icp_the_extra_is_named(
     labels: Path, tmp_path: Path, boxlift: Boxlift, monkeypatch: pytest.MonkeyPatch
 ) -> None:

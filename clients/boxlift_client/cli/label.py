@@ -156,11 +156,15 @@ def label(
     chosen_engine = _engine(engine, url, ray_address, workers)
     names = None if frames is None else read_frames(frames)
     shard = None if shard_name is None else parse_shard(shard_name)
+    if sequence and shard is not None:
+        raise OptionsError(
+            "sequence", "a part of the frames is no drive.", "Give boxlift track when all parts are labelled."
+        )
     with resumable(out), progress_bar("Labelling") as progress:
         summary = label_dataset(job, chosen_engine, names, progress, shard=shard, retry_failed=retry_failed)
     print(summary.text())
     print(f"Labels are in {folder / 'data'}, details in {folder / 'details'}.")
-    if sequence and shard is None:
+    if sequence:
         run_tracking(TrackJob(folder, folder / TRACKED), workers, None)
     if not summary.complete:
         raise typer.Exit(1)

@@ -253,8 +253,9 @@ def with_box(
     flags: tuple[str, ...],
     track: TrackDetails,
     result: Result,
+    losses: LossTerms | None,
 ) -> ObjectDetails:
-    """An object with the class and the box of its track, and its own box as a rejected one."""
+    """An object with the class, the box and the losses of its track, and its own box as a rejected one."""
     rejected = item.rejected
     if item.box is not None:
         own = RejectedDetails(reason="What this frame alone says.", box=item.box, losses=item.losses)
@@ -269,7 +270,7 @@ def with_box(
         "flags": flags,
         "box": _box(box),
         "kitti": _kitti(written),
-        "losses": None,
+        "losses": None if losses is None else _losses(losses),
         "rejected": rejected,
         "track": track,
     }

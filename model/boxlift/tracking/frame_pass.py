@@ -257,5 +257,6 @@ def _tracked_box(tracked: TrackedObject, box: Boxes3D | None, own_score: float |
         knows_front=tracked.path.knows_front,
         shows_size=fused is not None and fused.shows_size,
         points=0 if fused is None else fused.points,
+        losses=None if fused is None else fused.losses,
         from_elsewhere=own_score is None,
     )

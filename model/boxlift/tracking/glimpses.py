@@ -34,10 +34,10 @@ class Glimpse:
         nobody = np.zeros(len(view.points_cam), dtype=np.bool_)
         region = region_of(view, index, nobody, height_m + _ABOVE_M)
         rows = np.union1d(region.inside, region.around)
-        frame = replace(
-            view.frame, points_velo=view.frame.points_velo[:0], image=None, instance_ids=None, prompts=()
-        )
-        kept = View(frame, view.ground, view.points_cam[rows], view.pixels[rows], view.above_m[rows])
+        # Nothing that holds on to the sweep: a track has dozens of these.
+        frame = replace(view.frame, points_velo=np.empty((0, 3)), image=None, instance_ids=None, prompts=())
+        ground = replace(view.ground, is_ground=np.empty(0, dtype=np.bool_))
+        kept = View(frame, ground, view.points_cam[rows], view.pixels[rows], view.above_m[rows])
         found = replace(
             region,
             inside=np.searchsorted(rows, region.inside),

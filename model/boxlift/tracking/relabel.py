@@ -15,7 +15,7 @@ from boxlift.formats.details import (
     with_box,
     with_own_box,
 )
-from boxlift.frame import Result
+from boxlift.frame import LossTerms, Result
 from boxlift.tracking.paths import Motion
 
 # A reviewer's flags that a drive adds.
@@ -28,8 +28,8 @@ _FEW_POINTS = 30
 class TrackedBox:
     """The box of a track in one frame.
 
-    box: of length 1, in the frame's camera; None to keep the frame's own. points: that the fused box was
-    fitted to. from_elsewhere: whether the frame itself had no box for it.
+    box: of length 1, in the frame's camera; None to keep the frame's own. points, losses: of the fused box,
+    over all frames. from_elsewhere: whether the frame itself had no box for it.
     """
 
     track: int
@@ -41,6 +41,7 @@ class TrackedBox:
     knows_front: bool = False
     shows_size: bool = False
     points: int = 0
+    losses: LossTerms | None = None
     from_elsewhere: bool = False
 
     @property
@@ -75,7 +76,15 @@ def _rewritten(item: ObjectDetails, tracked: TrackedBox) -> ObjectDetails:
     if tracked.box is None:
         return with_own_box(item, tracked.score, flags, tracked.details)
     result = Result.TRACKED if tracked.from_elsewhere else Result.FITTED
-    return with_box(item, tracked.category, tracked.box, tracked.score, flags, tracked.details, result)
+    return _with_box(item, tracked, tracked.box, flags, result)
+
+
+def _with_box(
+    item: ObjectDetails, tracked: TrackedBox, box: Boxes3D, flags: tuple[str, ...], result: Result
+) -> ObjectDetails:
+    return with_box(
+        item, tracked.category, box, tracked.score, flags, tracked.details, result, tracked.losses
+    )
 
 
 def _flags(flags: Sequence[str], tracked: TrackedBox) -> tuple[str, ...]:
@@ -104,12 +113,4 @@ def _appended(index: int, filled: FilledBox) -> ObjectDetails:
         filled.outline_px,
         PointDetails(in_prompt=0, above_ground=0, in_cluster=filled.points, used=0),
     )
-    return with_box(
-        item,
-        tracked.category,
-        filled.box,
-        tracked.score,
-        _flags(flags, tracked),
-        tracked.details,
-        Result.FILLED,
-    )
+    return _with_box(item, tracked, filled.box, _flags(flags, tracked), Result.FILLED)

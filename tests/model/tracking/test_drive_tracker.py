@@ -112,6 +112,8 @@ def test_what_the_frame_said_is_kept_beside_it() -> None:
     assert item.rejected[0].box == before.box
     assert item.rejected[0].reason == "What this frame alone says."
     assert item.iou_probability is None
+    assert item.losses is not None
+    assert item.losses != before.losses
 
 
 def test_a_prompt_that_a_detector_missed_is_filled_and_only_in_between() -> None:

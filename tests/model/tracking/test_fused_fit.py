@@ -100,6 +100,15 @@ def test_too_few_points_leave_what_most_frames_say() -> None:
     assert np.allclose(found.parameters[[X, Z]], 0)
 
 
+def test_a_glimpse_holds_on_to_no_sweep() -> None:
+    """A track keeps dozens of them."""
+    seen = glimpse(0, (5.0, 4.0), points_of("back", 5000))
+    held = (seen.view.frame.points_velo, seen.view.points_cam, seen.view.pixels, seen.view.above_m)
+    for array in (*held, seen.view.ground.is_ground):
+        owner = array if array.base is None else array.base
+        assert owner.nbytes <= 480 * 3 * 8
+
+
 def test_a_box_is_the_same_in_any_frame() -> None:
     boxes = np.array([CAR, [2.0, 9.0, 0.7, 4.0, 1.7, 1.5, 1.6]])
     a_SE3_b = pose(np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), np.array([3.0, -1.0, 2.0]))
