@@ -17,18 +17,19 @@ _ABOVE_M = 0.2
 class Glimpse:
     """One object in one frame: the points in and around its prompt, and where all of it is.
 
-    view holds those points alone, region their rows. world_SE3_cam: (4, 4). score: of the frame's own box.
+    view holds those points alone, region their rows. world_SE3_cam: (4, 4). own: (7,) the frame's own box, in
+    its camera.
     """
 
     sweep: int
     view: View
     region: Region
     world_SE3_cam: Floats
-    score: float
+    own: Floats
 
     @classmethod
     def of(
-        cls, view: View, index: int, sweep: int, world_SE3_cam: Floats, height_m: float, score: float
+        cls, view: View, index: int, sweep: int, world_SE3_cam: Floats, height_m: float, own: Floats
     ) -> Glimpse:
         """Of prompt `index` of a view; objects of its class are height_m high."""
         nobody = np.zeros(len(view.points_cam), dtype=np.bool_)
@@ -43,7 +44,7 @@ class Glimpse:
             inside=np.searchsorted(rows, region.inside),
             around=np.searchsorted(rows, region.around),
         )
-        return cls(sweep, kept, found, world_SE3_cam, score)
+        return cls(sweep, kept, found, world_SE3_cam, own)
 
     @property
     def points_world(self) -> Floats:

@@ -34,6 +34,9 @@ _FROZEN_SIGMA_M = 1e-3
 _MOVING_COST = 4.0
 # A fused box that overlaps those of the single frames by less is not theirs: they keep their own.
 _LEAST_AGREEMENT = 0.2
+# Of what moves, one that overlaps them by this is not asked what the frames have against it; another is, and
+# loses where it is so much more than what they have against their own boxes.
+_SURE_AGREEMENT, _MUCH_LIKELIER = 0.5, 4.0
 
 
 @dataclass(eq=False)
@@ -184,13 +187,14 @@ def _gather(
 ) -> None:
     labelled = details.objects[item]
     world_SE3_cam = camera_pose(sweep, details)
+    own = _parameters(labelled)
     glimpse = None
     # A single box is all there is to know.
     if view is not None and len(tracked.track.sightings) > 1:
         height_m = _prior(labelled.category, settings).height_m
-        glimpse = Glimpse.of(view, item, sweep.number, world_SE3_cam, height_m, labelled.score)
+        glimpse = Glimpse.of(view, item, sweep.number, world_SE3_cam, height_m, own)
         glimpse = glimpse if len(glimpse.region.inside) else None
-    gathered.add(glimpse, sweep.number, world_SE3_cam, _parameters(labelled), labelled.score)
+    gathered.add(glimpse, sweep.number, world_SE3_cam, own, labelled.score)
 
 
 def _parameters(labelled: ObjectDetails) -> Floats:
@@ -214,8 +218,15 @@ def _fuse(
         boxes = gathered.boxes_along(path)
         fits.append((fit_fused(gathered.glimpses, path, boxes, scores, size, settings), path))
     fused, path = min(fits, key=lambda fit: fit[0].cost + _MOVING_COST * (not fit[1].stands))
-    if fused.agreement >= _LEAST_AGREEMENT:
+    if fused.agreement >= _LEAST_AGREEMENT and (path.stands or _holds_together(fused)):
         tracked.path, tracked.fused = path, fused
+
+
+def _holds_together(fused: FusedBox) -> bool:
+    """Whether a path was good enough to fuse frames along it: the frames' own boxes are not much likelier."""
+    if fused.agreement >= _SURE_AGREEMENT:
+        return True
+    return fused.energy is not None and fused.energy - fused.own_energy < _MUCH_LIKELIER
 
 
 def _size_pull(category: str, settings: LabellerSettings) -> SizePull:

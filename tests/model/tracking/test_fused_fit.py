@@ -53,7 +53,8 @@ def glimpse(number: int, camera_at: tuple[float, float], points: Floats) -> Glim
     pixels, _ = calibration.project(points_cam)
     ground = Ground(np.zeros(0, dtype=np.bool_), GroundPlane(np.array([0.0, -1, 0]), 1.65))
     view = View(frame, ground, points_cam, pixels, ground.height_above(points_cam))
-    return Glimpse.of(view, 0, number, world_SE3_cam, 1.5, 0.9)
+    own = transformed(CAR[None], cam_SE3_object)[0]
+    return Glimpse.of(view, 0, number, world_SE3_cam, 1.5, own)
 
 
 def fitted(glimpses: list[Glimpse], boxes: Floats) -> Floats:
