@@ -218,7 +218,7 @@ def _tracked(
         return
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([_PRELOADED])
-    with ProcessPoolExecutor(min(workers, len(waiting)), context, initializer=_one_thread) as pool:
+    with ProcessPoolExecutor(min(workers, len(waiting)), context, initializer=one_thread) as pool:
         drive_of = {pool.submit(track_drive, job, manifest, *each): each for each in waiting}
         try:
             for future in as_completed(drive_of):
@@ -235,7 +235,8 @@ def _count(entries: Sequence[SweepEntry]) -> int:
     return sum(len(entry.frames) for entry in entries)
 
 
-def _one_thread() -> None:
+def one_thread() -> None:
+    """For processes of ours: threads of torch that wait for each other cost a busy machine seconds a frame."""
     import torch
 
     torch.set_num_threads(1)

@@ -82,10 +82,11 @@ def run_tracking(job: TrackJob, workers: int | None, shard_name: str | None) -> 
     """Track with a progress bar, and print what came of it."""
     from boxlift_client.cli.interruption import resumable
     from boxlift_client.cli.progress import progress_bar
-    from boxlift_client.tracking import track_label_set
+    from boxlift_client.tracking import one_thread, track_label_set
 
     shard = None if shard_name is None else parse_shard(shard_name)
     count = len(os.sched_getaffinity(0)) if workers is None else workers
+    one_thread()
     with resumable(str(job.out)), progress_bar("Tracking") as progress:
         summary = track_label_set(job, progress, workers=count, shard=shard)
     print(summary.text())
