@@ -236,7 +236,7 @@ def _count(entries: Sequence[SweepEntry]) -> int:
 
 
 def one_thread() -> None:
-    """For processes of ours: threads of torch that wait for each other cost a busy machine seconds a frame."""
+    """For processes of ours: threads of torch that wait for each other cost a busy machine seconds."""
     import torch
 
     torch.set_num_threads(1)
