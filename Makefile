@@ -56,6 +56,7 @@ bench: $(READY)
 	$(BIN)/python benchmarks/micro_batches.py
 	$(BIN)/python benchmarks/dashboard.py
 	$(BIN)/python benchmarks/merging.py
+	$(BIN)/python benchmarks/odometry.py
 	$(BIN)/python benchmarks/tracking.py
 	$(BIN)/python benchmarks/tracking.py real --prompts detector
 	for what in time memory; do $(BIN)/python benchmarks/tracking_cost.py $$what || exit 1; done

@@ -5,7 +5,7 @@ degree: enough for a map, too little for the sides of a car. They say where a sw
 says where it is. Without any, the last motion says it.
 
 What lies on the ground is left out: its rings of points go with the sensor, and hold a match back where there
-is little beside the road (by a tenth of the way on generated drives).
+is little beside the road (by a fifth of the way and more on generated drives, benchmarks/odometry.py).
 
 Source: Vizzo et al., "KISS-ICP", IEEE Robotics and Automation Letters 8 (2), 2023.
 """
