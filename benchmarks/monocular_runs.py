@@ -21,7 +21,7 @@ from boxlift.formats import image as image_files
 from boxlift.formats import kitti_label
 from boxlift.formats.kitti_label import UNKNOWN_ANGLE, UNKNOWN_LOCATION, UNKNOWN_SIZE, KittiObject
 from boxlift.frame import Prompt
-from sequences import tracking_objects
+from sequences import objects_by_frame
 
 _FOLD_DRIVE = "_0009_"
 SETS = ("object", "weak")
@@ -92,7 +92,7 @@ def write_sequence_labels(kitti: Path, out: Path) -> dict[str, list[str]]:
     names: dict[str, list[str]] = {}
     (out / "labels_weak").mkdir(parents=True, exist_ok=True)
     for labels in sorted((kitti / "sequences").glob("0*")):
-        objects = tracking_objects(labels / "label_02.txt")
+        objects = objects_by_frame(labels / "label_02.txt")
         with (labels / "frames.csv").open(newline="") as lines:
             raw_of = {
                 Path(row["files"]).name: int(row["raw_frame"])

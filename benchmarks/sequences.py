@@ -8,33 +8,23 @@ The frames follow each other closely, so that the same few objects are counted m
 from __future__ import annotations
 
 import csv
-from collections import defaultdict
-from dataclasses import replace
 from pathlib import Path
 
 from ablation import Dataset
 from boxlift.datasets import open_source
-from boxlift.formats.kitti_label import KittiObject, parse_line, prompts_of
-
-# Tracking labels tell truncation in three levels: of the object benchmark, those that count as moderate and
-# as not at all (ours: the levels have no published shares).
-_TRUNCATED = {0: 0.0, 1: 0.25, 2: 0.6}
+from boxlift.formats.kitti_label import KittiObject, prompts_of
+from boxlift.formats.kitti_tracks import read_tracks
 
 
-def tracking_objects(path: Path) -> dict[int, list[KittiObject]]:
-    """Raw frame -> its objects; the lines begin with frame and track, then go on as those of label_2."""
-    found: dict[int, list[KittiObject]] = defaultdict(list)
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
-        frame, _, *columns = line.split()
-        item = parse_line(" ".join(columns), f"{path}:{number}")
-        found[int(frame)].append(replace(item, truncated=_TRUNCATED.get(int(item.truncated), -1.0)))
-    return found
+def objects_by_frame(path: Path) -> dict[int, list[KittiObject]]:
+    """Raw frame -> its objects, whatever their tracks."""
+    return {frame: [each.line for each in tracked] for frame, tracked in read_tracks(path).items()}
 
 
 def sequence(weak: Path, labels: Path) -> Dataset:
     """The frames of a sequence that lie in `weak`, with the labels of `labels`."""
     source = open_source(weak)
-    objects = tracking_objects(labels / "label_02.txt")
+    objects = objects_by_frame(labels / "label_02.txt")
     with (labels / "frames.csv").open(newline="") as lines:
         raw_of = {
             Path(row["files"]).name: int(row["raw_frame"])

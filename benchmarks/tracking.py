@@ -71,7 +71,7 @@ def _told(found: FrameDetails) -> list[Tracked]:
 
 def _overlapping(frames: Sequence[FrameDetails]) -> Iterator[list[Tracked]]:
     """Ids of boxes that overlap from one frame to the next, in the world where poses are known."""
-    before: list[tuple[int, int]] = []
+    before: list[int] = []
     boxes_before = None
     last = 0
     for frame in frames:
@@ -86,14 +86,14 @@ def _overlapping(frames: Sequence[FrameDetails]) -> Iterator[list[Tracked]]:
                 row, column = divmod(int(flat), max(len(boxes), 1))
                 if len(boxes) == 0 or iou[row, column] < _SAME_OBJECT_IOU:
                     break
-                taken = before[row][0]
+                taken = before[row]
                 if not ids[column] and taken not in ids:
                     ids[column] = taken
         for column, known in enumerate(ids):
             if not known:
                 last += 1
                 ids[column] = last
-        before, boxes_before = [(each, 0) for each in ids], boxes
+        before, boxes_before = ids, boxes
         lines = [kitti_object_of(each.kitti) for each in frame.objects if each.kitti]
         yield list(zip(ids, lines, strict=True))
 

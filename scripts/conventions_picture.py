@@ -17,7 +17,7 @@ from boxlift.formats.ego_boxes import LOOKING_AHEAD, ego_objects
 from boxlift.formats.kitti_label import from_box3d
 from boxlift.poses import quaternion_of
 
-_BOX = Boxes3D(np.array([[3.0, 0.9, 7.4]]), [4.2], [1.8], [1.5], [-1.1])  # type: ignore[arg-type]
+_BOX = Boxes3D(np.array([[3.0, 0.9, 7.4]]), *(np.array([side]) for side in (4.2, 1.8, 1.5, -1.1)))
 _SCALE, _WIDTH, _HEIGHT = 26, 330, 400
 _INK, _BLUE, _RED, _FAINT = "#24292f", "#0969da", "#cf222e", "#8c959f"
 

@@ -71,10 +71,10 @@ class RunSummary:
         total = self.frames.total()
         head = ", ".join(f"{self.frames[outcome]} {outcome}" for outcome in Outcome)
         pace = f", {self.counted / self.seconds:.1f} a second" if self.seconds > 0 and self.counted else ""
-        lines = [f"{_counted(total, 'frame')}: {head}; {self.seconds:.1f} s{pace}."]
+        lines = [f"{counted(total, 'frame')}: {head}; {self.seconds:.1f} s{pace}."]
         if self.before:
-            lines.append(f"{_counted(self.before, 'frame')} of them before this run.")
-        lines.append(f"{_counted(self.results.total(), self.noun)}{':' if self.results else '.'}")
+            lines.append(f"{counted(self.before, 'frame')} of them before this run.")
+        lines.append(f"{counted(self.results.total(), self.noun)}{':' if self.results else '.'}")
         for result, count in self.results.most_common():
             frame, sentence = self.examples[result]
             lines.append(f"  {count:6d}  {result:22} e.g. {frame}: {sentence}")
@@ -89,7 +89,7 @@ class RunSummary:
     def _warning_lines(self) -> list[str]:
         if not self.warnings:
             return []
-        lines = [f"{_counted(self.warnings, 'frame')} with warnings about the calibration:"]
+        lines = [f"{counted(self.warnings, 'frame')} with warnings about the calibration:"]
         for report in self.warned:
             lines.extend(f"  {name:22} {report.frame}: {sentence}" for name, sentence in report.warnings)
         if self.warnings > len(self.warned):
@@ -97,5 +97,6 @@ class RunSummary:
         return lines
 
 
-def _counted(count: int, noun: str) -> str:
+def counted(count: int, noun: str) -> str:
+    """A number with its noun, in the plural where it is one."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

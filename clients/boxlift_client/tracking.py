@@ -31,6 +31,7 @@ from boxlift_client.label_files import details_path, write_label_files
 from boxlift_client.label_set import LabelSetIndex, SweepEntry
 from boxlift_client.leftovers import remove_leftovers
 from boxlift_client.manifest import Manifest, join_tracked_set, read_manifest
+from boxlift_client.summary import counted
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
@@ -74,17 +75,15 @@ class TrackSummary:
     def text(self) -> str:
         """Plain text: what the frames said one by one, and what their drives say."""
         frames = sum(each.frames for each in self.records)
-        lines = [
-            f"{_counted(len(self.records), 'drive')}, {_counted(frames, 'frame')}; {self.seconds:.1f} s."
-        ]
+        lines = [f"{counted(len(self.records), 'drive')}, {counted(frames, 'frame')}; {self.seconds:.1f} s."]
         if self.before:
-            lines.append(f"{_counted(self.before, 'drive')} of them before this run.")
+            lines.append(f"{counted(self.before, 'drive')} of them before this run.")
         motions = {
             motion: sum(each.objects.get(motion, 0) for each in self.records)
             for motion in ("static", "moving", "unknown")
         }
         lines.append(
-            f"{_counted(sum(motions.values()), 'object')}: {motions['static']} stand, "
+            f"{counted(sum(motions.values()), 'object')}: {motions['static']} stand, "
             f"{motions['moving']} move, {motions['unknown']} were seen once."
         )
         before, after = (
@@ -94,8 +93,8 @@ class TrackSummary:
             sum(getattr(each, name) for each in self.records) for name in ("given_a_box", "filled", "turned")
         )
         lines.append(
-            f"Boxes: {before} before, {after} after: {_counted(given, 'prompt')} got the box of a drive's "
-            f"object, {_counted(filled, 'gap')} filled; {turned} looked backwards and were turned."
+            f"Boxes: {before} before, {after} after: {counted(given, 'prompt')} got the box of a drive's "
+            f"object, {counted(filled, 'gap')} filled; {turned} looked backwards and were turned."
         )
         lines += [_spread_sentence(each) for each in self.records if each.length_m is not None]
         lines += [f"  failed {drive}: {sentence}" for drive, sentence in self.failed]
@@ -276,7 +275,3 @@ def track_drive(
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise RunStoppedError(f"The run stopped at drive {drive!r}: {error}") from None
         return str(error) if isinstance(error, BoxliftError) else f"{type(error).__name__}: {error}"
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import tee
 from typing import Literal, Protocol
 
 import numpy as np
@@ -52,25 +53,28 @@ def survey(given: Sequence[SweepFrames], reader: DriveReader, poses: Poses) -> S
     """
     start_ns = next((each.timestamp_ns for each in given if each.timestamp_ns is not None), 0)
     sweeps, sightings = [], []
-    found = _matched(given, reader) if poses == "matched" else _told(given, reader)
-    for number, (each, world_SE3_ego) in enumerate(zip(given, found, strict=True)):
-        frames = [reader.details(name) for name in each.frames]
+    # Matching looks a few sweeps ahead of what is made of them.
+    ahead, read = tee([reader.details(name) for name in each.frames] for each in given)
+    found = (
+        matched_poses(_unmatched(frames, reader) for frames in ahead) if poses == "matched" else _told(ahead)
+    )
+    for number, (each, frames, world_SE3_ego) in enumerate(zip(given, read, found, strict=True)):
         known_ns = each.timestamp_ns
         time_s = number * SWEEP_PERIOD_S if known_ns is None else (known_ns - start_ns) / 1e9
+        time_s = max(time_s, sweeps[-1].time_s) if sweeps else time_s  # where only some have times
         sweeps.append(DriveSweep(number, time_s, world_SE3_ego, up_of(frames, world_SE3_ego), each.frames))
         sightings.append(tuple(sightings_of(number, frames, world_SE3_ego)))
     return Survey(tuple(sweeps), tuple(sightings))
 
 
-def _told(given: Sequence[SweepFrames], reader: DriveReader) -> Iterator[Floats]:
+def _told(sweeps: Iterable[Sequence[FrameDetails]]) -> Iterator[Floats]:
     """The data set's poses; a sweep without LiDAR is where the one before it was."""
     pose = np.eye(4)
-    for each in given:
-        frames = [reader.details(name) for name in each.frames]
+    for frames in sweeps:
         told = _told_pose(frames)
         if told is None and any(frame.view is not None for frame in frames):
             raise DatasetError(
-                each.frames[0], "the data set has no pose of this sweep.", "Leave --poses dataset out."
+                frames[0].frame, "the data set has no pose of this sweep.", "Leave --poses dataset out."
             )
         pose = pose if told is None else told
         yield pose
@@ -81,13 +85,8 @@ def _told_pose(frames: Sequence[FrameDetails]) -> Floats | None:
     return next((np.array(matrix) for matrix in matrices if matrix is not None), None)
 
 
-def _matched(given: Sequence[SweepFrames], reader: DriveReader) -> Iterator[Floats]:
-    return matched_poses(_unmatched(each, reader) for each in given)
-
-
-def _unmatched(given: SweepFrames, reader: DriveReader) -> UnmatchedSweep:
+def _unmatched(frames: Sequence[FrameDetails], reader: DriveReader) -> UnmatchedSweep:
     """A sweep's points by the first of its frames that can be loaded; none where none can."""
-    frames = [reader.details(name) for name in given.frames]
     told = _told_pose(frames)
     for details in frames:
         if details.view is None:

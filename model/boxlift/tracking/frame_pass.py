@@ -75,9 +75,16 @@ def rewritten_frames(
         for sighting in each.track.sightings:
             for member in sighting.members:
                 by_sweep[sighting.sweep][member] = each
-    waiting = [each for each in objects if _is_sure(each)]
+    times = np.array([sweep.time_s for sweep in sweeps])
+    comes: defaultdict[int, list[tuple[int, TrackedObject]]] = defaultdict(list)
+    for each in objects:
+        if _is_sure(each):
+            first, last = _known_from_to(each, times)
+            comes[first].append((last, each))
+    there: list[tuple[int, TrackedObject]] = []
     for sweep in sweeps:
-        alive = [each for each in waiting if _may_be_there(each, sweep, sweeps)]
+        there = [(last, each) for last, each in there if last >= sweep.number] + comes[sweep.number]
+        alive = sorted((each for _, each in there), key=lambda each: each.number)
         for number, name in enumerate(sweep.frames):
             details = reader.details(name)
             own = {item: each for (view, item), each in by_sweep[sweep.number].items() if view == number}
@@ -96,13 +103,15 @@ def _is_sure(tracked: TrackedObject) -> bool:
     )
 
 
-def _may_be_there(tracked: TrackedObject, sweep: DriveSweep, sweeps: Sequence[DriveSweep]) -> bool:
-    """Whether its place at a sweep is known."""
+def _known_from_to(tracked: TrackedObject, times: Floats) -> tuple[int, int]:
+    """The first and the last sweep at which its place is known; times: (K,) of all sweeps, ascending."""
     first, last = (tracked.track.sightings[end].sweep for end in (0, -1))
     if not tracked.path.stands:
-        return first <= sweep.number <= last
-    around_s = _LOOK_AROUND_S
-    return sweeps[first].time_s - around_s <= sweep.time_s <= sweeps[last].time_s + around_s
+        return first, last
+    return (
+        int(np.searchsorted(times, times[first] - _LOOK_AROUND_S, "left")),
+        int(np.searchsorted(times, times[last] + _LOOK_AROUND_S, "right")) - 1,
+    )
 
 
 def _is_gap(tracked: TrackedObject, sweep: DriveSweep) -> bool:

@@ -70,8 +70,8 @@ class FusedBox:
     losses: the paper's, at the minimum that the polish began at; None with too few points for a fit. points:
     cells of points that it was fitted to. agreement: mean overlap seen from above with the boxes of the
     single frames, by score. energy: what the frames have against it, on average; None without points.
-    own_energy: what they have against their own boxes. shows_size: whether the points reach along most of
-    its length and of its width.
+    own_energy: of what moves, what they have against their own boxes. shows_size: whether the points reach
+    along most of its length and of its width.
     """
 
     parameters: Floats
@@ -79,7 +79,7 @@ class FusedBox:
     points: int
     agreement: float
     energy: float | None
-    own_energy: float
+    own_energy: float | None
     shows_size: bool
 
     @property
@@ -168,7 +168,7 @@ def fit_fused(
     enough = [mask.sum() >= _FEWEST_POINTS for mask in own]
     if not any(enough):
         agreement = float(_agreement(starts[:1], boxes, scores)[0])
-        return FusedBox(starts[0], None, 0, agreement, None, 0.0, shows_size=False)
+        return FusedBox(starts[0], None, 0, agreement, None, None, shows_size=False)
     own = [mask for mask in own if mask.sum() >= _FEWEST_POINTS]
     starts, losses = _fitted(starts[enough], own, cloud, settings)
     views = _evenly(glimpses, _MOST_VIEWS)
@@ -185,7 +185,7 @@ def fit_fused(
         int(own[best].sum()),
         float(agreements[best]),
         float(energy[best]),
-        float(np.mean([_own_energy(each, size, settings) for each in views])),
+        None if path.stands else float(np.mean([_own_energy(each, size, settings) for each in views])),
         _shows_size(starts[best], cloud.points[own[best]]),
     )
 

@@ -134,9 +134,14 @@ def _first(track: Track) -> tuple[int, tuple[tuple[int, int], ...]]:
 def _stitched(tracks: Sequence[Track], times: Sequence[float]) -> list[Track]:
     """Tracks that stand where an earlier one stood are its continuation."""
     done: list[Track] = []
+    recent: list[int] = []
     for track in tracks:
-        before = [number for number, other in enumerate(done) if _continues(other, track, times)]
+        begins_s = times[track.sightings[0].sweep]
+        # Tracks come by their first sighting: what ended too long ago for this one did for all that follow.
+        recent = [n for n in recent if begins_s - times[done[n].sightings[-1].sweep] <= _LONGEST_STITCH_S]
+        before = [number for number in recent if _continues(done[number], track, times)]
         if not before:
+            recent.append(len(done))
             done.append(track)
             continue
         nearest = min(before, key=lambda number: _gap_m(done[number], track))
@@ -145,8 +150,9 @@ def _stitched(tracks: Sequence[Track], times: Sequence[float]) -> list[Track]:
 
 
 def _continues(before: Track, after: Track, times: Sequence[float]) -> bool:
+    """Whether a track stands where one stood that ended before it."""
     last, first = before.sightings[-1], after.sightings[0]
-    if last.sweep >= first.sweep or times[first.sweep] - times[last.sweep] > _LONGEST_STITCH_S:
+    if last.sweep >= first.sweep:
         return False
     longer = max(last.lwh_m[0], first.lwh_m[0])
     ratio = last.lwh_m[0] / first.lwh_m[0]

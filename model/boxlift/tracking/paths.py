@@ -38,7 +38,7 @@ _SCATTER_SHARE = 0.1
 _PEOPLE = 0.5
 # Slower than this, direction of motion says nothing of the heading.
 _SLOW_M_S = 1.0
-_HEADING_RAD = np.deg2rad(6.0)
+_HEADING_RAD, _MOST_HEADINGS = np.deg2rad(6.0), 200
 # Along a path: axes of boxes may be off by this over their length, within bounds; the direction of motion by
 # that of a speed that is off by so much (m/s), and at least by this (rad).
 _AXIS_RAD_M, _AXIS_RAD = 0.22, (0.04, 0.35)
@@ -152,9 +152,10 @@ def _common_axis(sightings: Sequence[Sighting]) -> float:
     """The heading that most boxes have, front and back alike, the way most of them look."""
     headings = np.array([each.heading_rad for each in sightings])
     worth = np.array([each.score / each.sigma_m**2 for each in sightings]) + 1e-9
-    # Every box votes for those that are turned against it by little.
-    turned = np.abs(wrap_angle(2 * (headings[:, None] - headings[None]))) / 2
-    best = headings[int((worth / (1 + (turned / _HEADING_RAD) ** 2)).sum(1).argmax())]
+    # Every box votes for those that are turned against it by little; of many only some stand.
+    standing = headings[:: -(-len(headings) // _MOST_HEADINGS)]
+    turned = np.abs(wrap_angle(2 * (standing[:, None] - headings[None]))) / 2
+    best = standing[int((worth / (1 + (turned / _HEADING_RAD) ** 2)).sum(1).argmax())]
     weights = worth / (1 + (wrap_angle(2 * (headings - best)) / 2 / _HEADING_RAD) ** 2)
     axis = best + weights @ (wrap_angle(2 * (headings - best)) / 2) / weights.sum()
     looks = float(worth @ np.cos(headings - axis))

@@ -138,10 +138,8 @@ def tracked_objects(
     Reads every frame once and holds what was seen of an object until its last sighting. Raises
     LabelFormatError, OSError; frames that cannot be loaded show nothing.
     """
-    objects = [
-        TrackedObject(number, track, paths_of(track, sweeps)[0])
-        for number, track in enumerate(tracks, start=1)
-    ]
+    paths = [paths_of(track, sweeps) for track in tracks]
+    objects = [TrackedObject(row + 1, track, paths[row][0]) for row, track in enumerate(tracks)]
     members: defaultdict[int, list[tuple[int, int, int]]] = defaultdict(list)
     for row, each in enumerate(objects):
         for sighting in each.track.sightings:
@@ -153,7 +151,7 @@ def tracked_objects(
                 _gather(gathered[row], objects[row], sweep, view, details, item, settings)
         ended = [row for row in list(gathered) if objects[row].track.sightings[-1].sweep <= sweep.number]
         for row in ended:
-            _fuse(objects[row], gathered.pop(row), sweeps, settings)
+            _fuse(objects[row], paths[row], gathered.pop(row), settings)
     return objects
 
 
@@ -206,7 +204,7 @@ def _parameters(labelled: ObjectDetails) -> Floats:
 
 
 def _fuse(
-    tracked: TrackedObject, gathered: _Gathered, sweeps: Sequence[DriveSweep], settings: LabellerSettings
+    tracked: TrackedObject, paths: Sequence[Path], gathered: _Gathered, settings: LabellerSettings
 ) -> None:
     """Fit the object's box along its path; where two are in doubt, along that which its frames speak for."""
     if not gathered.glimpses:
@@ -214,7 +212,7 @@ def _fuse(
     scores = np.array([score for *_, score in gathered.boxes])
     size = _size_pull(tracked.track.category, settings)
     fits = []
-    for path in paths_of(tracked.track, sweeps):
+    for path in paths:
         boxes = gathered.boxes_along(path)
         fits.append((fit_fused(gathered.glimpses, path, boxes, scores, size, settings), path))
     fused, path = min(fits, key=lambda fit: fit[0].cost + _MOVING_COST * (not fit[1].stands))
@@ -226,7 +224,11 @@ def _holds_together(fused: FusedBox) -> bool:
     """Whether a path was good enough to fuse frames along it: the frames' own boxes are not much likelier."""
     if fused.agreement >= _SURE_AGREEMENT:
         return True
-    return fused.energy is not None and fused.energy - fused.own_energy < _MUCH_LIKELIER
+    return (
+        fused.energy is not None
+        and fused.own_energy is not None
+        and fused.energy - fused.own_energy < _MUCH_LIKELIER
+    )
 
 
 def _size_pull(category: str, settings: LabellerSettings) -> SizePull:

@@ -13,7 +13,7 @@ from boxlift.boxes import wrap_angle
 from boxlift.formats.details import FrameDetails, view_details_of
 from boxlift.formats.ego_boxes import sweep_labels_of_details
 from boxlift.formats.kitti_label import boxes3d_of
-from boxlift.frame import Result
+from boxlift.frame import Frame, Prompt, Result
 from boxlift.settings import ACCURATE, PAPER
 from boxlift.sweep import SweepView
 from boxlift.tracking import DriveTracker, Fill, Motion, SweepFrames
@@ -282,10 +282,10 @@ def test_two_cameras_of_a_sweep_have_one_track_for_what_both_see() -> None:
         def details(self, name: str) -> FrameDetails:
             return labelled[name]
 
-        def load(self, name: str, prompts: object) -> object:
-            return driven.load(name.rpartition("-")[0], prompts)  # type: ignore[arg-type]
+        def load(self, name: str, prompts: tuple[Prompt, ...]) -> Frame:
+            return driven.load(name.rpartition("-")[0], prompts)
 
-    found = list(DriveTracker(ACCURATE).track(frames, Twice()))  # type: ignore[arg-type]
+    found = list(DriveTracker(ACCURATE).track(frames, Twice()))
     assert len(found) == 16
     for left, right in zip(found[::2], found[1::2], strict=True):
         tracks = [[each.track.id for each in side.objects if each.track] for side in (left, right)]

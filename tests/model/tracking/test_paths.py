@@ -113,6 +113,15 @@ def test_sweeps_of_one_moment_are_no_division_by_zero() -> None:
     assert np.isfinite(paths_of(track_of(places), still)[0].world_SE3_object(2)).all()
 
 
+def test_what_stands_for_an_hour_costs_no_gigabytes() -> None:
+    """As before a camera that stands too: 36,000 sweeps."""
+    count = 36_000
+    headings = np.tile([0.3, 0.31, 0.29, 0.3 + np.pi, 1.8], count // 5)
+    (path,) = paths_of(track_of(np.tile([20.0, 5.0], (count, 1)), headings), sweeps(count))
+    front = path.world_SE3_object(0)[:2, 0]
+    assert np.arctan2(front[1], front[0]) == pytest.approx(0.3, abs=0.02)
+
+
 def test_smoothing_ignores_what_is_far_off() -> None:
     times = np.linspace(0, 3.9, 40)
     true = np.column_stack([3 * times, np.sin(times)])
