@@ -52,7 +52,8 @@ def survey(given: Sequence[SweepFrames], reader: DriveReader, poses: Poses) -> S
     and MissingExtraError where sweeps are to be matched and KISS-ICP is not there.
     """
     start_ns = next((each.timestamp_ns for each in given if each.timestamp_ns is not None), 0)
-    sweeps, sightings = [], []
+    sweeps: list[DriveSweep] = []
+    sightings: list[tuple[Sighting, ...]] = []
     # Matching looks a few sweeps ahead of what is made of them.
     ahead, read = tee([reader.details(name) for name in each.frames] for each in given)
     found = (
