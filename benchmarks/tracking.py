@@ -29,11 +29,11 @@ from boxlift.evaluation.pseudo_labels import PseudoLabelQuality, judge_pseudo_la
 from boxlift.formats.details import FrameDetails, kitti_object_of
 from boxlift.formats.ego_boxes import boxes_in_camera, sweep_labels_of_details
 from boxlift.formats.kitti_tracks import NO_TRACK, read_tracks
+from boxlift.label_sets.index import read_details
 from boxlift.overlap import bev_iou_matrix
 from boxlift.poses import inverse
 from boxlift_client.engines.local import LocalEngine
 from boxlift_client.job import LabelJob
-from boxlift_client.label_set import read_details
 from boxlift_client.runner import label_dataset
 from boxlift_client.tracking import TrackJob, track_label_set
 from kitti_drives import LABELS, SHARED, drives_of, lay_out, log_of, truths_of

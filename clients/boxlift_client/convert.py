@@ -31,10 +31,10 @@ from boxlift.formats import (
 from boxlift.formats.details import kitti_object_of
 from boxlift.formats.kitti_tracks import NO_TRACK, TrackedObject
 from boxlift.formats.supervisely import SuperviselyProject
+from boxlift.label_sets.index import LabelSetIndex, read_frames_of, sweep_of
 from boxlift.storage import write_whole
 from boxlift.sweep import CameraImage, SweepLabels, SweepSensors
 from boxlift_client.job import view_of
-from boxlift_client.label_set import LabelSetIndex, read_frames_of, sweep_of
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath

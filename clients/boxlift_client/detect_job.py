@@ -10,8 +10,8 @@ from time import perf_counter
 from boxlift.datasets import ImageFolder, load_prompts, open_images
 from boxlift.formats.details import FrameDetails
 from boxlift.frame import Prompt
+from boxlift.label_sets.files import write_label_files
 from boxlift_client.job import FrameReport, Outcome, report_of, report_of_failure
-from boxlift_client.label_files import write_label_files
 
 
 @dataclass(frozen=True)

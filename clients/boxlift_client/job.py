@@ -14,10 +14,10 @@ from boxlift.datasets import FrameSource, find_labels, load_prompts, open_source
 from boxlift.errors import BoxliftError, DatasetError, MissingExtraError, NoLidarError
 from boxlift.formats.details import FrameDetails, details_of, view_details_of
 from boxlift.frame import Frame, FrameLabels, Prompt, Result
+from boxlift.label_sets.files import write_label_files
 from boxlift.poses import inverse
 from boxlift.settings import ACCURATE, LabellerSettings
 from boxlift.sweep import SweepView
-from boxlift_client.label_files import write_label_files
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath

@@ -21,10 +21,10 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from boxlift.errors import LabelFormatError, MissingExtraError
-from boxlift.storage import is_folder, names_in, read_whole, write_whole
+from boxlift.label_sets.ledger_parts import ledger_tables, pyarrow_modules
+from boxlift.storage import write_whole
 from boxlift_client.errors import RunStoppedError
 from boxlift_client.job import FrameReport, Outcome
 
@@ -136,7 +136,7 @@ def read_ledger(folder: AnyPath, source: str | None = None) -> LedgerState:
     """
     state = LedgerState()
     columns = ["frame", "source", "outcome", "prompts", "boxes", "error", "attempt"]
-    for table in _tables(folder, columns):
+    for table in ledger_tables(folder, columns):
         for frame, of_source, outcome, prompts, boxes, error, attempt in zip(
             *(table[name].to_pylist() for name in columns), strict=True
         ):
@@ -158,39 +158,14 @@ def read_ledger(folder: AnyPath, source: str | None = None) -> LedgerState:
 def read_rows(folder: AnyPath) -> Iterator[LedgerRow]:
     """Every row of a ledger, part by part. Raises LabelFormatError where a part cannot be read."""
     names = [each.name for each in fields(LedgerRow)]
-    for table in _tables(folder, names):
+    for table in ledger_tables(folder, names):
         for row in table.to_pylist():
             yield LedgerRow(**{**row, "results": dict(row["results"])})
 
 
-def read_frame_sources(folder: AnyPath) -> dict[str, str]:
-    """The id of every frame's data set. Raises LabelFormatError where a part cannot be read."""
-    return {
-        frame: source
-        for table in _tables(folder, ["frame", "source"])
-        for frame, source in zip(table["frame"].to_pylist(), table["source"].to_pylist(), strict=True)
-    }
-
-
-def _tables(folder: AnyPath, columns: list[str]) -> Iterator[Any]:
-    if not is_folder(folder):
-        return
-    _, parquet = _pyarrow()
-    for name in sorted(names_in(folder)):
-        if name.startswith(".") or not name.endswith(".parquet"):
-            continue
-        path = folder / name
-        try:
-            yield parquet.read_table(io.BytesIO(read_whole(path)), columns=columns, use_threads=False)
-        except (OSError, ValueError, KeyError) as error:
-            problem = f"the part of the ledger cannot be read ({str(error).splitlines()[0]:.200})."
-            remedy = "Delete it: the frames in it are labelled again."
-            raise LabelFormatError(str(path), problem, remedy) from None
-
-
 def _parquet(rows: Iterable[LedgerRow]) -> bytes:
     """Rows -> the bytes of a Parquet file."""
-    arrow, parquet = _pyarrow()
+    arrow, parquet = pyarrow_modules()
     schema = arrow.schema(
         [
             arrow.field("frame", arrow.string(), nullable=False),
@@ -211,13 +186,3 @@ def _parquet(rows: Iterable[LedgerRow]) -> bytes:
     buffer = io.BytesIO()
     parquet.write_table(table, buffer, compression="zstd")
     return buffer.getvalue()
-
-
-def _pyarrow() -> tuple[Any, Any]:
-    """pyarrow and pyarrow.parquet. Raises MissingExtraError."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise MissingExtraError("pyarrow", "client") from None
-    return pyarrow, pyarrow.parquet

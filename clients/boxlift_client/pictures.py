@@ -13,9 +13,9 @@ from boxlift.drawing import draw_frame, draw_objects
 from boxlift.errors import DatasetError, MissingExtraError, OptionsError
 from boxlift.formats import kitti_label
 from boxlift.formats.kitti_label import KittiObject
+from boxlift.label_sets.files import data_path, details_path, read_objects
 from boxlift.settings import LabellerSettings
 from boxlift_client.job import DETECTOR
-from boxlift_client.label_files import data_path, details_path, read_objects
 
 Picture = NDArray[np.uint8]
 

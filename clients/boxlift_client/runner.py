@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING
 
 from boxlift.datasets import find_labels, open_images, open_source
 from boxlift.errors import DatasetError, OptionsError
+from boxlift.label_sets.ledger_parts import LEDGER
+from boxlift.label_sets.manifest import Manifest
 from boxlift_client.detect_job import DetectJob
 from boxlift_client.engines import DetectEngine, Engine
 from boxlift_client.errors import RunStoppedError
 from boxlift_client.job import FrameReport, LabelJob, Outcome, labels_of
+from boxlift_client.joining import join_label_set
 from boxlift_client.ledger import LedgerRow, LedgerState, LedgerWriter, read_ledger
 from boxlift_client.leftovers import remove_leftovers, write_failed
-from boxlift_client.manifest import Manifest, join_label_set
 from boxlift_client.shard import Shard
 from boxlift_client.summary import RunSummary
 
@@ -24,8 +26,6 @@ if TYPE_CHECKING:
 
 # Called with the frames done so far and all frames.
 OnProgress = Callable[[int, int], None]
-
-LEDGER = "ledger"
 
 
 def label_dataset(

@@ -11,9 +11,9 @@ from boxlift.errors import DatasetError, OptionsError
 from boxlift.formats import argoverse2_boxes, kitti_label, tables
 from boxlift.formats.ego_boxes import ego_objects_of_kitti
 from boxlift.formats.nuscenes_boxes import NuscenesBoxes
+from boxlift.label_sets.index import read_sweeps_of
 from boxlift.storage import is_folder
 from boxlift.sweep import SweepLabels
-from boxlift_client.label_set import read_sweeps_of
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath

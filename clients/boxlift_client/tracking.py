@@ -17,8 +17,11 @@ from typing import TYPE_CHECKING
 
 from boxlift import __version__
 from boxlift.errors import BoxliftError, DatasetError, MissingExtraError, OptionsError
+from boxlift.label_sets.files import details_path, write_label_files
+from boxlift.label_sets.index import LabelSetIndex, SweepEntry
+from boxlift.label_sets.manifest import Manifest, read_manifest
+from boxlift.label_sets.reader import LabelSetReader
 from boxlift.settings import LabellerSettings
-from boxlift_client.drive_reader import LabelSetReader
 from boxlift_client.drive_record import (
     DriveCounts,
     DriveRecord,
@@ -27,10 +30,8 @@ from boxlift_client.drive_record import (
     write_record,
 )
 from boxlift_client.errors import RunStoppedError
-from boxlift_client.label_files import details_path, write_label_files
-from boxlift_client.label_set import LabelSetIndex, SweepEntry
+from boxlift_client.joining import join_tracked_set
 from boxlift_client.leftovers import remove_leftovers
-from boxlift_client.manifest import Manifest, join_tracked_set, read_manifest
 from boxlift_client.summary import counted
 
 if TYPE_CHECKING:

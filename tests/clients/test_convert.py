@@ -15,12 +15,12 @@ from boxlift.errors import BoxliftError, DatasetError, OptionsError
 from boxlift.formats import argoverse2_boxes, kitti_label
 from boxlift.formats.nuscenes_boxes import NuscenesBoxes
 from boxlift.formats.point_cloud import read_points
+from boxlift.label_sets.index import read_sweeps_of
 from boxlift.poses import rotation_of
 from boxlift.sweep import EgoObject, SweepLabels
 from boxlift_client.convert import Format, convert
 from boxlift_client.engines.local import LocalEngine
 from boxlift_client.job import LabelJob
-from boxlift_client.label_set import read_sweeps_of
 from boxlift_client.runner import label_dataset
 from clients.command import Boxlift
 from model.datasets.nuscenes_files import SAMPLE, write_nuscenes

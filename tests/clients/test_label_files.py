@@ -13,7 +13,7 @@ from boxlift.errors import LabelFormatError
 from boxlift.formats import kitti_label
 from boxlift.formats.details import FrameDetails, details_of, parse_text
 from boxlift.frame import FrameLabels, ObjectLabel, Prompt, Result
-from boxlift_client.label_files import data_path, details_path, read_objects, write_label_files
+from boxlift.label_sets.files import data_path, details_path, read_objects, write_label_files
 
 
 def car_details(name: str = "a frame", sentence: str = "A box was fitted.") -> FrameDetails:

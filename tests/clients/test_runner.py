@@ -13,11 +13,11 @@ import pytest
 from boxlift.datasets.frames_file import read_frames
 from boxlift.errors import DatasetError, MissingExtraError, OptionsError
 from boxlift.formats.details import parse_text
+from boxlift.label_sets.manifest import read_manifest
 from boxlift.settings import PAPER
 from boxlift_client import LabelJob, Outcome, label_dataset
 from boxlift_client.errors import RunStoppedError
 from boxlift_client.ledger import read_ledger, read_rows
-from boxlift_client.manifest import read_manifest
 from boxlift_client.shard import Shard
 from clients.inline_engine import InlineEngine
 from clients.label_sets import files_of

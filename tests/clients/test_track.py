@@ -16,10 +16,10 @@ import pytest
 from boxlift.datasets.generated import DriveSettings, generate_drive, write_drive
 from boxlift.formats import argoverse2_boxes
 from boxlift.formats.kitti_tracks import NO_TRACK, read_tracks
+from boxlift.label_sets.index import read_details, read_sweeps_of
 from boxlift_client.drive_record import read_record
 from boxlift_client.engines.local import LocalEngine
 from boxlift_client.job import LabelJob
-from boxlift_client.label_set import read_details, read_sweeps_of
 from boxlift_client.runner import label_dataset
 from boxlift_client.tracking import TrackJob, track_label_set
 from clients.command import Boxlift

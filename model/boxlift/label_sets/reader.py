@@ -9,12 +9,11 @@ from boxlift.datasets import FrameSource, open_source
 from boxlift.errors import DatasetError
 from boxlift.formats.details import FrameDetails
 from boxlift.frame import Frame, Prompt
+from boxlift.label_sets.files import details_path
+from boxlift.label_sets.index import read_details
+from boxlift.label_sets.ledger_parts import LEDGER, read_frame_sources
+from boxlift.label_sets.manifest import Manifest
 from boxlift.storage import is_folder, open_path
-from boxlift_client.label_files import details_path
-from boxlift_client.label_set import read_details
-from boxlift_client.ledger import read_frame_sources
-from boxlift_client.manifest import Manifest
-from boxlift_client.runner import LEDGER
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 from boxlift.formats.details import FrameDetails, ObjectDetails, kitti_object_of, kitti_text
 from boxlift.formats.kitti_label import UNKNOWN_ANGLE, UNKNOWN_LOCATION, UNKNOWN_SIZE, KittiObject
+from boxlift.label_sets.index import read_details
 from boxlift.storage import write_whole
-from boxlift_client.label_set import read_details
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
