@@ -102,6 +102,8 @@ class Result(Enum):
     FILLED = (
         "There is no prompt here, but other frames of the drive show an object, and LiDAR points lie on it."
     )
+    CORRECTED = "A reviewer gave this box."
+    REJECTED = "A reviewer rejected the box."
     PREDICTED = "The model predicted a box."
     CLASS_NOT_IN_MODEL = "The model does not know the class {category!r} (it knows {known})."
     ABSURD_PREDICTION = "What the model gave for this object is no 3D box ({reason})."

@@ -29,6 +29,7 @@ from boxlift_service.labelling.labelling import Labelling
 from boxlift_service.labelling.worker import LabelWorker, open_label_worker
 from boxlift_service.lifecycle import LeaveWhileDrainingMiddleware, Lifecycle
 from boxlift_service.problems import ProblemError, on_http_exception, on_input_error, on_problem
+from boxlift_service.review.label_sets import LabelSets
 from boxlift_service.routes.detect import detect_routes
 from boxlift_service.routes.health import health_routes
 from boxlift_service.routes.label import label_routes
@@ -36,6 +37,7 @@ from boxlift_service.routes.label_batch import label_batch_routes
 from boxlift_service.routes.metrics import metrics_routes
 from boxlift_service.routes.models import models_routes
 from boxlift_service.routes.recognition import recognition_routes
+from boxlift_service.routes.review import review_folder, review_routes
 from boxlift_service.settings import ServiceSettings
 from boxlift_service.telemetry.metrics import Metrics
 from boxlift_service.telemetry.observation import ObservationMiddleware, start_tracing
@@ -77,6 +79,8 @@ def create_app(
     detection.check_given_models()
     labellers = _label_pool(settings, presets, metrics)
     labelling = Labelling(labellers, detection)
+    reviewed = review_folder(settings)
+    label_sets = None if reviewed is None else LabelSets(reviewed, settings.corrections)
     metrics.watch("boxlift_held_bytes", "Bytes of request bodies that are held.", lambda: held.taken)
 
     @asynccontextmanager
@@ -86,6 +90,8 @@ def create_app(
         yield
         await labellers.stop()
         await detection.pool.stop()
+        if label_sets is not None:
+            label_sets.close()
         if tracing is not None:
             tracing.shutdown()
 
@@ -110,6 +116,7 @@ def create_app(
         health_routes((labellers, detection.pool), lifecycle),
         models_routes(detection, presets),
         metrics_routes(metrics),
+        review_routes(label_sets, labelling, settings, held, metrics),
     )
     for routes in resources:
         app.include_router(routes)

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from enum import Enum
 from http import HTTPStatus
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
@@ -26,6 +27,7 @@ class Kind(Enum):
     UNAUTHORIZED = ("unauthorized", 401, "The request needs a valid API key")
     FORBIDDEN_ORIGIN = ("forbidden-origin", 403, "Pages of this origin may not call")
     NOT_ACCEPTABLE = ("not-acceptable", 406, "No answer has a media type that the client accepts")
+    CONFLICT = ("conflict", 409, "Somebody else was faster")
     TIMEOUT = ("timeout", 408, "The request did not come in in time")
     TOO_LARGE = ("too-large", 413, "The request is too large")
     UNSUPPORTED_MEDIA_TYPE = ("unsupported-media-type", 415, "The request body has the wrong media type")
@@ -74,8 +76,11 @@ class ProblemError(Exception):
         *,
         field: str | None = None,
         headers: Mapping[str, str] | None = None,
+        more: Mapping[str, Any] | None = None,
     ) -> None:
+        """`more`: further members of the document, plain JSON."""
         super().__init__(kind, problem, remedy, field)
+        self.more = dict(more or {})
         self.kind = kind
         self.problem = problem
         self.remedy = remedy
@@ -97,7 +102,7 @@ class ProblemError(Exception):
 
     def response(self, path: str) -> Response:
         """The answer to the request of `path`."""
-        return _response(self.details(path), self.headers)
+        return _response(self.details(path), self.headers, self.more)
 
 
 async def on_problem(request: Request, error: Exception) -> Response:
@@ -139,7 +144,9 @@ async def on_http_exception(request: Request, error: Exception) -> Response:
     return _response(details, headers or {})
 
 
-def _response(details: ProblemDetails, headers: Mapping[str, str]) -> Response:
+def _response(
+    details: ProblemDetails, headers: Mapping[str, str], more: Mapping[str, Any] | None = None
+) -> Response:
     # Escaped to ASCII: what a client sent and the problem quotes need not be valid Unicode.
-    content = json.dumps(details.model_dump(exclude_none=True), allow_nan=False)
+    content = json.dumps({**(more or {}), **details.model_dump(exclude_none=True)}, allow_nan=False)
     return Response(content, status_code=details.status, headers=dict(headers), media_type=MEDIA_TYPE)

@@ -57,6 +57,18 @@ class ServiceSettings(BaseModel):
         None, description="TOML file with sizes per class, laid over the built-in ones; read at the start."
     )
 
+    # What people review
+    label_sets: Path | None = Field(
+        None,
+        description="Folder of label sets (or one label set) that the review page opens, and where dropped "
+        "frames are kept; unset: ./boxlift-review on loopback, else no review page.",
+    )
+    corrections: str | None = Field(
+        None,
+        description="Database of all corrections as a URL of SQLAlchemy, e.g. postgresql+psycopg://...; "
+        "unset: corrections.sqlite in each label set.",
+    )
+
     # Work
     permits_per_worker: float = Field(
         16.0,

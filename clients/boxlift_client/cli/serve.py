@@ -27,8 +27,17 @@ def serve(
         Path | None,
         typer.Option(metavar="FILE", help="ONNX file of a 2D detector of your own.", show_default=False),
     ] = None,
+    label_sets: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Label set, or folder of label sets, for the review page; dropped frames are kept there.  "
+            "[default: ./boxlift-review on loopback]",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
-    """Serve labels and detections over HTTP until interrupted.
+    """Serve labels, detections and the review page over HTTP until interrupted.
 
     Every setting is also a variable BOXLIFT_*, e.g. BOXLIFT_MAX_POINTS; an option goes before it.
     """
@@ -40,5 +49,6 @@ def serve(
         "label_workers": label_workers,
         "model": model,
         "detector": detector,
+        "label_sets": label_sets,
     }
     service_process.serve({name: str(value) for name, value in given.items() if value is not None})

@@ -81,6 +81,14 @@ class TrackDetails(_Details):
     sightings: int = Field(description="Sweeps in which it was labelled from the sweep itself.")
 
 
+class ReviewDetails(_Details):
+    """What somebody said about a box, in a corrected label set."""
+
+    verdict: str = Field(description="accepted, corrected or rejected.")
+    author: str
+    made_at: str = Field(description="ISO 8601, with the time zone.")
+
+
 class ObjectDetails(_Details):
     """What became of one prompt."""
 
@@ -112,6 +120,7 @@ class ObjectDetails(_Details):
     points: PointDetails
     rejected: tuple[RejectedDetails, ...]
     track: TrackDetails | None = Field(None, description="null: no drive was looked at.")
+    review: ReviewDetails | None = Field(None, description="null: nobody reviewed it.")
 
 
 class WarningDetails(_Details):
@@ -283,6 +292,50 @@ def with_own_box(
     """An object with its own box, as its track has it."""
     kitti = None if item.kitti is None else item.kitti.model_copy(update={"score": _rounded(score)})
     changes = {"score": _rounded(score), "flags": flags, "kitti": kitti, "track": track}
+    return item.model_copy(update=changes)
+
+
+def with_reviewed_box(
+    item: ObjectDetails, category: str, box: BoxDetails, review: ReviewDetails
+) -> ObjectDetails:
+    """An object with the box that a reviewer vouches for; the machine's, where another, as a rejected one."""
+    written = kitti_label.from_box3d(category, item.prompt_box_px, boxes3d_of_details([box]), score=1.0)
+    changes: dict[str, object] = {"score": 1.0, "kitti": _kitti(written), "review": review}
+    if (box, category) != (item.box, item.category):
+        rejected = item.rejected
+        if item.box is not None:
+            machine = RejectedDetails(reason="What the machine said.", box=item.box, losses=item.losses)
+            rejected = (machine, *rejected)
+        result = Result.CORRECTED
+        changes |= {
+            "category": category,
+            "result": result.name,
+            "sentence": result.value,
+            "iou_probability": None,
+            "box": box,
+            "losses": None,
+            "rejected": rejected,
+        }
+    return item.model_copy(update=changes)
+
+
+def without_box(item: ObjectDetails, review: ReviewDetails) -> ObjectDetails:
+    """An object whose box a reviewer rejected."""
+    rejected = item.rejected
+    if item.box is not None:
+        rejected = (RejectedDetails(reason="A reviewer.", box=item.box, losses=item.losses), *rejected)
+    result = Result.REJECTED
+    changes: dict[str, object] = {
+        "result": result.name,
+        "sentence": result.value,
+        "score": 0.0,
+        "iou_probability": None,
+        "box": None,
+        "kitti": None,
+        "losses": None,
+        "rejected": rejected,
+        "review": review,
+    }
     return item.model_copy(update=changes)
 
 

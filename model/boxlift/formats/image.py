@@ -72,6 +72,13 @@ def encoded_png(pixels: NDArray[np.unsignedinteger]) -> bytes:
     return buffer.getvalue()
 
 
+def encoded_jpeg(pixels: NDArray[np.uint8], quality: int = 90) -> bytes:
+    """(H, W, 3) RGB -> a JPEG file's bytes. Raises MissingExtraError without Pillow."""
+    buffer = io.BytesIO()
+    _pillow().fromarray(pixels).save(buffer, "JPEG", quality=quality)
+    return buffer.getvalue()
+
+
 def resized(image: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.uint8]:
     """(H, W, 3) RGB -> the same image with (width, height) pixels, each averaged over what it covers.
 

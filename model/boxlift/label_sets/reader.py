@@ -36,10 +36,11 @@ class LabelSetReader:
         """What one frame's labels say. Raises LabelFormatError, OSError."""
         return read_details(details_path(self.label_set, name))
 
-    def load(self, name: str, prompts: tuple[Prompt, ...]) -> Frame:
-        """The frame, without its image. Raises InputError."""
+    def load(self, name: str, prompts: tuple[Prompt, ...], *, with_image: bool = False) -> Frame:
+        """The frame, its image left out unless asked for. Raises InputError."""
         source = self._source(name)
-        return source.load(name, prompts, masks=self._masks(source))
+        masks = self._masks(source) if prompts else None
+        return source.load(name, prompts, masks=masks, with_image=with_image)
 
     def check(self) -> None:
         """Raises DatasetError where a data set is not where the manifest says."""

@@ -17,6 +17,7 @@ from boxlift_service.problems import Kind, ProblemError
 from boxlift_service.settings import ServiceSettings
 
 OnRefused = Callable[[str], None]
+PAGE_PATHS = ("/", "/review/page.js", "/review/page.css", "/review/icon.svg")
 
 
 def check_exposure(settings: ServiceSettings) -> None:
@@ -42,8 +43,9 @@ def is_loopback(host: str) -> bool:
 class AuthMiddleware:
     """Answers 401 without a known key, 429 beyond the key's rate; else `request.state.key` is its name.
 
-    The body of a refused request is left unread: BodyLimitMiddleware, around this, drops it. Probes need no
-    key, nor does /metrics where the settings say so. `on_refused` is called with "key" or "rate".
+    The body of a refused request is left unread: BodyLimitMiddleware, around this, drops it. Probes and the
+    review page's own files need no key, nor does /metrics where the settings say so. `on_refused` is called
+    with "key" or "rate".
     """
 
     def __init__(
@@ -55,7 +57,8 @@ class AuthMiddleware:
         self._rates = RateLimits()
         self._on_refused = on_refused
         paths = ["/healthz", "/readyz", *(["/metrics"] if settings.open_metrics else [])]
-        self._open_paths = {version + path for version in ("", "/v1") for path in paths}
+        # The page itself holds nothing of anybody: it asks for a key, and sends it with all that it fetches.
+        self._open_paths = {version + path for version in ("", "/v1") for path in (*paths, *PAGE_PATHS)}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http" and scope["path"] not in self._open_paths:
