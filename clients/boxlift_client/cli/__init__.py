@@ -15,6 +15,7 @@ except ModuleNotFoundError:
     sys.exit(f"error: {MissingExtraError('typer', 'client')}")
 
 from boxlift_client.cli.convert import convert
+from boxlift_client.cli.corrections import corrections
 from boxlift_client.cli.demo import demo
 from boxlift_client.cli.detect import detect
 from boxlift_client.cli.evaluate import evaluate
@@ -36,7 +37,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (demo, serve, label, track, detect, convert, evaluate, show, train, export):
+for command in (demo, serve, label, track, detect, corrections, convert, evaluate, show, train, export):
     app.command()(command)
 app.add_typer(keys, name="keys")
 

@@ -28,6 +28,7 @@ export class BirdsEyeView {
       this.canvas.width = Math.round(width * ratio);
       this.canvas.height = Math.round(height * ratio);
     }
+    if (!width || !height) return;
     if (this.frame !== this.review.frame) {
       this.frame = this.review.frame;
       this.pointsFor = "";

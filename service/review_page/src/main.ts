@@ -54,6 +54,9 @@ const actions = actionsOf(
 );
 
 function draw(): void {
+  // First, for what is hidden has no size to draw into.
+  part("start").hidden = review.frame !== null;
+  part("views").hidden = review.frame === null;
   imageView.draw();
   birdsEyeView.draw();
   sceneView?.draw();
@@ -67,8 +70,6 @@ function draw(): void {
   const missing = review.frame?.answer.missing;
   const alerts = missing ? [...warnings, missing] : warnings;
   part("warnings").replaceChildren(...alerts.map((each) => element("p", each)));
-  part("start").hidden = review.frame !== null;
-  part("views").hidden = review.frame === null;
 }
 
 function say(text: string, failing = false): void {

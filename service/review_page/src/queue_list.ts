@@ -22,7 +22,7 @@ export class QueueList {
   draw(): void {
     const queue = this.review.queue;
     this.progress.textContent = queue
-      ? `${queue.objects} objects, ${queue.reviewed} reviewed` +
+      ? `${queue.objects} objects, ${this.review.reviewed} reviewed` +
         (queue.frames_read < queue.frames ? `; ${queue.frames_read} of ${queue.frames} frames read` : "")
       : "";
     const taken = new Map(this.review.others.map((each) => [each.frame, each.author]));

@@ -55,6 +55,12 @@ export class Review {
     return this.drafts.get(key) ?? this.said.get(key)?.opinion ?? OPEN;
   }
 
+  /** Objects of which somebody said something that still holds. */
+  get reviewed(): number {
+    const spoken = [...this.said.values()].filter((each) => each.opinion.verdict !== "open");
+    return spoken.length;
+  }
+
   correctionOf(frame: string, index: number): Correction | null {
     return this.said.get(`${frame}/${index}`) ?? null;
   }
