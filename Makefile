@@ -21,6 +21,7 @@ demo: $(READY)
 	$(BIN)/boxlift demo --out demo
 
 test: check
+	@sh tests/chromium.sh
 	$(BIN)/pytest -n 2 --dist loadfile
 
 check: $(READY)

@@ -12,6 +12,10 @@ _KITTI_SEQUENCES = _SHARED / "kitti" / "sequences"
 _ORACLE = _SHARED / "oracle"
 
 
+# Debian's.
+CHROMIUM = Path("/usr/bin/chromium")
+
+
 @pytest.fixture(scope="session")
 def kitti_object_root() -> Path:
     """Root of real frames in KITTI object layout (the folder that holds training/)."""
@@ -36,6 +40,14 @@ def oracle_root() -> Path:
     return _ORACLE
 
 
+@pytest.fixture(scope="session")
+def chromium() -> Path:
+    """The browser."""
+    if not CHROMIUM.is_file():
+        pytest.skip("no Chromium")
+    return CHROMIUM
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Say once that tests on real frames did not run."""
     missing = [
@@ -43,6 +55,10 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         for path in (_KITTI_OBJECT, _KITTI_SEQUENCES, _ORACLE)
         if not path.is_dir()
     ]
+    if not CHROMIUM.is_file():
+        terminalreporter.write_line(
+            f"Not there, so the tests of the review page in a browser were skipped: {CHROMIUM}"
+        )
     if missing:
         terminalreporter.write_line(
             f"Not there, so the tests that need them were skipped: {', '.join(missing)}"

@@ -10,6 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from boxlift.errors import BoxliftError
 from boxlift.formats.details import BoxDetails
 
+_LONGEST_SIDE_M = 100.0
+_FARTHEST_M = 10_000.0
+
 
 class Verdict(StrEnum):
     """What somebody thinks of an object."""
@@ -23,7 +26,8 @@ class Verdict(StrEnum):
 class Opinion(BaseModel):
     """What is said: a verdict, and with CORRECTED the box and the class that are right.
 
-    Raises ValidationError where box or class are missing with CORRECTED, or given with another verdict.
+    Raises ValidationError where box or class are missing with CORRECTED, or given with another verdict,
+    or the box is none.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -36,6 +40,13 @@ class Opinion(BaseModel):
         corrected = self.verdict is Verdict.CORRECTED
         if corrected != (self.box is not None) or corrected != (self.category is not None):
             raise ValueError("box and category belong to the verdict 'corrected', and to no other.")
+        if self.box is not None:
+            sides = (self.box.length_m, self.box.width_m, self.box.height_m)
+            places = (*self.box.center_cam, self.box.rotation_y)
+            if not all(0 < side <= _LONGEST_SIDE_M for side in sides):
+                raise ValueError(f"the sides of a box are between 0 and {_LONGEST_SIDE_M:g} m.")
+            if not all(abs(place) <= _FARTHEST_M for place in places):
+                raise ValueError(f"a box lies within {_FARTHEST_M:g} m of the camera.")
 
 
 class Correction(BaseModel):

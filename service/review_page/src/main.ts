@@ -19,6 +19,8 @@ function part<T extends HTMLElement>(id: string): T {
 
 let drawing = false;
 const review = new Review(() => {
+  // Said at once, and not with the next picture: whoever waits for it may not see what was before.
+  document.documentElement.dataset["saved"] = String(review.isSaved);
   if (drawing) return;
   drawing = true;
   requestAnimationFrame(() => {
@@ -223,12 +225,9 @@ window.setInterval(() => {
   });
 }, HEARTBEAT_MS);
 
-// For measurements and tests of the page.
+// For measurements of the page.
 Object.assign(window, {
   boxlift: {
-    get saved() {
-      return review.isSaved;
-    },
     measureFrameRate: (seconds: number) => sceneView?.measureFrameRate(seconds) ?? 0,
   },
 });
