@@ -79,7 +79,7 @@ function rounded(value: number): number {
 /** The action of a key press; none while somebody types or chooses, or holds a modifier that is not its own. */
 export function actionFor(actions: Action[], event: KeyboardEvent): Action | null {
   const target = event.target as HTMLElement;
-  if (target.closest("input, select, textarea, dialog")) return null;
+  if (target.closest("input:not([type=file]), select, textarea, dialog")) return null;
   if (event.altKey || event.metaKey) return null;
   // Space and Enter press what has the focus; arrows move within the queue.
   if (target.closest("[role=listbox]") && event.key.startsWith("Arrow")) return null;

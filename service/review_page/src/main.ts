@@ -120,6 +120,10 @@ async function start(): Promise<void> {
     review.author = author.value;
     localStorage.setItem(AUTHOR, author.value);
   });
+  // What was typed is done: the keys act on boxes again.
+  author.addEventListener("keydown", (event) => {
+    if (event.key === "Enter" || event.key === "Escape") author.blur();
+  });
   const names = await listSets();
   const place = new URLSearchParams(location.hash.slice(1));
   const wanted = place.get("set") ?? "";

@@ -204,7 +204,8 @@ export class Review {
     this.drafts.set(key, opinion);
     this.status = "Saving …";
     window.clearTimeout(this.waiting.get(key));
-    this.waiting.set(key, window.setTimeout(() => this.save(key), afterMs));
+    if (afterMs) this.waiting.set(key, window.setTimeout(() => this.save(key), afterMs));
+    else this.save(key);
     this.changed();
   }
 

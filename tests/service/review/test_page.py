@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Page, Response, expect, sync_playwright
+from playwright.sync_api import Browser, Page, Response, ViewportSize, expect, sync_playwright
 
 from boxlift.datasets.generated import generate, write_dataset
 from boxlift_service.guards.api_keys import add_key, new_key
@@ -31,7 +31,7 @@ _SWITCHES = [
     "--disable-background-networking",
     "--disable-quic",
 ]
-_LAPTOP = {"width": 1366, "height": 768}
+_LAPTOP: ViewportSize = {"width": 1366, "height": 768}
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +80,7 @@ def test_upload_correct_reload_find(
     files = [next((tmp_path / "training" / kind).iterdir()) for kind in ("velodyne", "calib", "image_2")]
     with page_of(browser, reviewed) as page:
         page.get_by_label("Your name").fill("ann")
+        page.get_by_label("Your name").press("Enter")
         page.get_by_label("Add a frame").set_input_files(files)
         expect(page.locator("#status")).to_contain_text("have a box", timeout=60_000)
         expect(page.locator("#object-title")).to_have_text("Object 0 of 000000")
