@@ -112,6 +112,23 @@ async function listSets(): Promise<string[]> {
   return answer.label_sets;
 }
 
+/** Open what the address names, if anything; a link to an object can be passed on. */
+async function openPlace(names: string[]): Promise<boolean> {
+  const place = new URLSearchParams(location.hash.slice(1));
+  const name = place.get("set") ?? "";
+  const frame = place.get("frame");
+  if (!names.includes(name)) return false;
+  if (name !== review.labelSet) await openSet(name);
+  if (frame) await openFrame(frame, Number(place.get("object") ?? -1));
+  return frame !== null;
+}
+
+async function openFirst(name: string): Promise<void> {
+  if (name !== review.labelSet) await openSet(name);
+  const first = review.queue?.entries[0];
+  if (first) await openFrame(first.frame, first.index);
+}
+
 async function start(): Promise<void> {
   const author = part<HTMLInputElement>("author");
   author.value = localStorage.getItem(AUTHOR) ?? "";
@@ -125,17 +142,8 @@ async function start(): Promise<void> {
     if (event.key === "Enter" || event.key === "Escape") author.blur();
   });
   const names = await listSets();
-  const place = new URLSearchParams(location.hash.slice(1));
-  const wanted = place.get("set") ?? "";
-  const name = names.includes(wanted) ? wanted : names[0];
-  if (!name) return;
-  await openSet(name);
-  const frame = name === wanted ? place.get("frame") : null;
-  if (frame) await openFrame(frame, Number(place.get("object") ?? -1));
-  else {
-    const first = review.queue?.entries[0];
-    if (first) await openFrame(first.frame, first.index);
-  }
+  const first = names[0];
+  if (!(await openPlace(names)) && first) await openFirst(review.labelSet || first);
 }
 
 async function takeFiles(files: File[]): Promise<void> {
@@ -197,11 +205,7 @@ document.addEventListener("keydown", (event) => {
 part("help").addEventListener("click", () => part<HTMLDialogElement>("help-dialog").showModal());
 part("class").addEventListener("change", () => part("class").blur());
 part("label-set").addEventListener("change", (event) =>
-  void guarded(async () => {
-    await openSet((event.target as HTMLSelectElement).value);
-    const first = review.queue?.entries[0];
-    if (first) await openFrame(first.frame, first.index);
-  }),
+  void guarded(() => openFirst((event.target as HTMLSelectElement).value)),
 );
 part<HTMLInputElement>("files").addEventListener("change", (event) => {
   const input = event.target as HTMLInputElement;
@@ -214,6 +218,7 @@ document.addEventListener("drop", (event) => {
   event.preventDefault();
   void guarded(() => takeFiles([...(event.dataTransfer?.files ?? [])]));
 });
+window.addEventListener("hashchange", () => void guarded(async () => void (await openPlace(await listSets()))));
 window.addEventListener("resize", draw);
 window.addEventListener("beforeunload", (event) => {
   if (review.isSaved) return;

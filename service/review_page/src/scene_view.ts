@@ -21,6 +21,7 @@ export class SceneView {
   );
   private frame: OpenFrame | null = null;
   private lookedAt = "";
+  private drawnSize = "";
   private asked = false;
 
   /** Throws where the browser has no WebGL. */
@@ -60,7 +61,6 @@ export class SceneView {
       const offset = this.camera.position.clone().sub(around).applyAxisAngle(new Vector3(0, 1, 0), 0.02);
       this.camera.position.copy(around).add(offset);
       this.camera.lookAt(around);
-      this.showBoxes();
       this.render();
       // Until the picture is there: commands alone are queued faster than they are drawn.
       this.renderer.getContext().finish();
@@ -82,10 +82,14 @@ export class SceneView {
   private render(): void {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (!width || !height) return;
-    this.renderer.setPixelRatio(window.devicePixelRatio || 1);
-    this.renderer.setSize(width, height, false);
-    this.camera.aspect = width / height;
-    this.camera.updateProjectionMatrix();
+    const size = `${width} ${height} ${window.devicePixelRatio}`;
+    if (size !== this.drawnSize) {
+      this.drawnSize = size;
+      this.renderer.setPixelRatio(window.devicePixelRatio || 1);
+      this.renderer.setSize(width, height, false);
+      this.camera.aspect = width / height;
+      this.camera.updateProjectionMatrix();
+    }
     this.renderer.render(this.scene, this.camera);
   }
 
