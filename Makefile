@@ -56,6 +56,7 @@ bench: $(READY)
 	$(BIN)/python benchmarks/peer.py
 	$(BIN)/python benchmarks/micro_batches.py
 	$(BIN)/python benchmarks/dashboard.py
+	$(BIN)/python benchmarks/review_page.py
 	$(BIN)/python benchmarks/merging.py
 	$(BIN)/python benchmarks/odometry.py
 	$(BIN)/python benchmarks/tracking.py

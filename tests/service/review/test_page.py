@@ -20,7 +20,7 @@ from playwright.sync_api import Browser, Page, Response, ViewportSize, expect, s
 from boxlift.datasets.generated import generate, write_dataset
 from boxlift_service.guards.api_keys import add_key, new_key
 from service.frames import SmallFrame
-from service.review.label_sets import correct, drop
+from service.review.label_sets import ACCEPTED, REJECTED, correct, drop
 from service.running import RunningService, running_service
 
 _ROOT = Path(__file__).parents[3]
@@ -186,14 +186,22 @@ def test_a_conflict_shows_what_the_other_said(
         expect(page.locator("#object-title")).to_have_text("Object 0 of conflict")
         # Between two heartbeats of the page, somebody else is faster.
         page.route("**/review/heartbeat", lambda route: route.abort())
-        rejected = {"verdict": "rejected", "box": None, "category": None}
-        assert correct(reviewed.client, "conflict", rejected, author="bob").status_code == 201
+        assert correct(reviewed.client, "conflict", REJECTED, author="bob").status_code == 201
         page.keyboard.press("ArrowRight")
         expect(page.locator("#facts")).to_contain_text("rejected by bob")
         said = reviewed.client.get("/review/corrections", params={"set": "labels/dropped"}).json()
         assert [each["author"] for each in said if each["frame"] == "conflict"] == ["bob"]
         page.unroute("**/review/heartbeat")
         page.goto("about:blank")
+
+
+def test_a_name_is_no_script(browser: Browser, reviewed: RunningService, frame: SmallFrame) -> None:
+    drop(reviewed, frame, "script")
+    name = "<img src=x onerror=alert(1)>"
+    assert correct(reviewed.client, "script", ACCEPTED, author=name).status_code == 201
+    with page_of(browser, reviewed, frame_place("script")) as page:
+        expect(page.locator("#facts")).to_contain_text(f"accepted by {name}")
+        assert page.locator("#facts img").count() == 0
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
