@@ -4,6 +4,7 @@ import sqlite3
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from uuid import uuid4
 
 import pytest
 from pydantic import ValidationError
@@ -19,8 +20,14 @@ CORRECTED = Opinion(verdict=Verdict.CORRECTED, box=BOX, category="Van")
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[CorrectionStore]:
-    opened = CorrectionStore(default_url(tmp_path), "labels")
+def label_set() -> str:
+    """A name that no other test has in the same database."""
+    return f"labels-{uuid4()}"
+
+
+@pytest.fixture
+def store(store_url: str, label_set: str) -> Iterator[CorrectionStore]:
+    opened = CorrectionStore(store_url, label_set)
     yield opened
     opened.close()
 
@@ -61,9 +68,9 @@ def test_the_same_request_counts_once(store: CorrectionStore) -> None:
     assert store.history() == [kept]
 
 
-def test_of_many_who_speak_at_once_one_is_first(tmp_path: Path) -> None:
+def test_of_many_who_speak_at_once_one_is_first(store_url: str, label_set: str) -> None:
     """Each with a connection of its own, as several services have."""
-    stores = [CorrectionStore(default_url(tmp_path), "labels") for _ in range(6)]
+    stores = [CorrectionStore(store_url, label_set) for _ in range(6)]
     kept: list[Correction] = []
     refused: list[CorrectionConflictError] = []
     together = threading.Barrier(len(stores))
@@ -86,8 +93,8 @@ def test_of_many_who_speak_at_once_one_is_first(tmp_path: Path) -> None:
         each.close()
 
 
-def test_label_sets_in_one_database_know_nothing_of_each_other(tmp_path: Path) -> None:
-    one, other = (CorrectionStore(default_url(tmp_path), name) for name in ("one", "other"))
+def test_label_sets_in_one_database_know_nothing_of_each_other(store_url: str, label_set: str) -> None:
+    one, other = (CorrectionStore(store_url, f"{label_set}{name}") for name in ("one", "other"))
     say(one, ACCEPTED)
     assert other.latest() == []
     assert say(other, REJECTED).revision == 1
@@ -95,12 +102,14 @@ def test_label_sets_in_one_database_know_nothing_of_each_other(tmp_path: Path) -
     other.close()
 
 
-def test_the_file_is_synced_with_every_correction(store: CorrectionStore, tmp_path: Path) -> None:
+def test_the_file_has_a_log_that_outlives_a_kill(tmp_path: Path) -> None:
+    store = CorrectionStore(default_url(tmp_path), "labels")
     say(store, ACCEPTED)
     with sqlite3.connect(tmp_path / FILE_NAME) as connection:
         assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
         assert connection.execute("SELECT count(*) FROM boxlift_corrections").fetchone() == (1,)
     connection.close()
+    store.close()
 
 
 @pytest.mark.parametrize("url", ["nonsense", "nosuch://host/name", "sqlite:////nowhere/at/all.sqlite"])
