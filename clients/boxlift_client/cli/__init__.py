@@ -22,6 +22,7 @@ from boxlift_client.cli.evaluate import evaluate
 from boxlift_client.cli.export import export
 from boxlift_client.cli.keys import keys
 from boxlift_client.cli.label import label
+from boxlift_client.cli.report import report
 from boxlift_client.cli.serve import serve
 from boxlift_client.cli.show import show
 from boxlift_client.cli.track import track
@@ -37,7 +38,21 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (demo, serve, label, track, detect, corrections, convert, evaluate, show, train, export):
+_COMMANDS = (
+    demo,
+    serve,
+    label,
+    track,
+    detect,
+    corrections,
+    convert,
+    evaluate,
+    report,
+    show,
+    train,
+    export,
+)
+for command in _COMMANDS:
     app.command()(command)
 app.add_typer(keys, name="keys")
 

@@ -3,7 +3,7 @@ from prompts."""
 
 from __future__ import annotations
 
-from boxlift.evaluation.folders import evaluate_folders
+from boxlift.evaluation.folders import evaluate_folders, evaluate_tables
 from boxlift.evaluation.kitti import AveragePrecision, KittiBenchmark
 from boxlift.evaluation.label_table import LabelTable
 from boxlift.evaluation.nuscenes import NuscenesEvaluation, judge_like_nuscenes
@@ -37,6 +37,7 @@ __all__ = [
     "PseudoLabelQuality",
     "WaymoEvaluation",
     "evaluate_folders",
+    "evaluate_tables",
     "judge_like_nuscenes",
     "judge_like_waymo",
     "judge_pseudo_labels",

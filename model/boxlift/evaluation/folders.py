@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from boxlift.errors import DatasetError
 from boxlift.evaluation.kitti import KittiBenchmark
-from boxlift.evaluation.label_table import read_table
+from boxlift.evaluation.label_table import LabelTable, read_table
 from boxlift.evaluation.pseudo_labels import judge_pseudo_labels
 from boxlift.evaluation.results import Evaluation
 from boxlift.evaluation.rules import BENCHMARK_CLASSES, CLASS_RULES, rules_of
@@ -45,9 +45,19 @@ def evaluate_folders(
     truths = read_table(gt_dir, names)
     data_dir = pred_dir / "data"  # where the development kit, and `boxlift label`, put the files
     predictions = read_table(data_dir if is_folder(data_dir) else pred_dir, names)
+    return evaluate_tables(truths, predictions, classes, pseudo_label_classes)
+
+
+def evaluate_tables(
+    truths: LabelTable,
+    predictions: LabelTable,
+    classes: Sequence[str] = BENCHMARK_CLASSES,
+    pseudo_label_classes: Sequence[str] = tuple(CLASS_RULES),
+) -> Evaluation:
+    """As evaluate_folders, of labels that are in memory. Raises OptionsError for a class without rules."""
     benchmark = KittiBenchmark(truths, predictions)
     return Evaluation(
-        frame_count=len(names),
+        frame_count=truths.frame_count,
         results={name: benchmark.average_precision(name) for name in classes},
         pseudo_labels={name: judge_pseudo_labels(truths, predictions, name) for name in pseudo_label_classes},
     )

@@ -38,7 +38,7 @@ class LabelSetReader:
 
     def load(self, name: str, prompts: tuple[Prompt, ...], *, with_image: bool = False) -> Frame:
         """The frame, its image left out unless asked for. Raises InputError."""
-        source = self._source(name)
+        source = self.source_of(name)
         masks = self._masks(source) if prompts else None
         return source.load(name, prompts, masks=masks, with_image=with_image)
 
@@ -47,7 +47,8 @@ class LabelSetReader:
         for path in [self._path(entry.path) for entry in self.manifest.sources]:
             self._open(path)
 
-    def _source(self, name: str) -> FrameSource:
+    def source_of(self, name: str) -> FrameSource:
+        """The data set of a frame. Raises DatasetError."""
         if len(self.manifest.sources) == 1 or self.source is not None:
             return self._open(self._path(self.manifest.sources[0].path))
         if self._source_of is None:
