@@ -9,7 +9,7 @@ import pytest
 from boxlift.corrections.correction import Opinion, Verdict
 from boxlift.corrections.store import CorrectionStore, default_url
 from boxlift.formats.details import BoxDetails
-from boxlift.label_sets.index import read_details
+from boxlift.label_sets.index import read_details, read_frames_of
 from boxlift_client.engines.local import LocalEngine
 from boxlift_client.job import LabelJob
 from boxlift_client.runner import label_dataset
@@ -22,13 +22,13 @@ BOX = BoxDetails(center_cam=(1.0, 1.5, 20.0), length_m=4.5, width_m=1.9, height_
 @pytest.fixture(scope="module")
 def labelled(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("labelled") / "labels"
-    label_dataset(LabelJob(dataset, out, "label_2"), LocalEngine(1), ["000000", "000001"])
+    label_dataset(LabelJob(dataset, out, "label_2"), LocalEngine(1))
     return out
 
 
 @pytest.fixture
 def labels(labelled: Path, tmp_path: Path) -> Path:
-    """A label set of two frames."""
+    """A label set of three frames."""
     copied: Path = shutil.copytree(labelled, tmp_path / "labels")
     return copied
 
@@ -65,6 +65,40 @@ def test_corrections_are_laid_over_a_copy(labels: Path, boxlift: Boxlift) -> Non
     # Other commands take it.
     converted = boxlift("convert", corrected, "--to", "kitti", "--out", labels / "kitti")
     assert converted.status == 0, converted.err
+
+
+def test_scores_are_calibrated_anew_on_request(labels: Path, boxlift: Boxlift) -> None:
+    boxes = [
+        (frame.frame, item)
+        for frame in read_frames_of(labels)
+        for item in frame.objects
+        if item.box is not None
+    ]
+    *judged, (frame, left) = boxes
+    assert len(judged) >= 20
+    store = CorrectionStore(default_url(labels), "labels")
+    for at, (name, item) in enumerate(judged):
+        opinion = Opinion(verdict=Verdict.REJECTED if at % 2 else Verdict.ACCEPTED)
+        store.add(name, item.index, opinion, based_on=0, author="ann", request_id=f"request-{at}")
+    store.close()
+    ran = boxlift("corrections", labels, "--rescore")
+    assert ran.status == 0, ran.err
+    assert "Scores anew: logistic(" in ran.out
+    after = read_details(labels / "corrected" / "details" / f"{frame}.json").objects[left.index]
+    assert after.box == left.box
+    assert after.score < left.score  # half of the sure ones were wrong
+    assert after.kitti is not None
+    assert after.kitti.score == after.score
+
+
+def test_few_verdicts_calibrate_nothing(labels: Path, boxlift: Boxlift) -> None:
+    store = CorrectionStore(default_url(labels), "labels")
+    store.add(
+        "000000", 0, Opinion(verdict=Verdict.ACCEPTED), based_on=0, author="ann", request_id="request-1"
+    )
+    store.close()
+    ran = boxlift("corrections", labels, "--rescore")
+    assert (ran.status, "Review at least 20" in ran.err) == (2, True)
 
 
 def test_without_corrections_it_says_how_to_make_some(labels: Path, boxlift: Boxlift) -> None:

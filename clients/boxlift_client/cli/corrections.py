@@ -38,13 +38,21 @@ def corrections(
             show_default=False,
         ),
     ] = None,
+    rescore: Annotated[
+        bool,
+        typer.Option(
+            "--rescore",
+            help="Calibrate the scores of boxes that nobody judged by the verdicts on the others.",
+        ),
+    ] = False,
 ) -> None:
     """Write a label set of its own: LABELS with accepted, corrected and rejected boxes, and who said so.
 
-    LABELS stays as it is. Every command takes what comes out: convert, evaluate, show, serve.
+    Prints how often flags and scores were right. LABELS stays as it is. Every command takes what comes out:
+    convert, evaluate, show, serve.
     """
     from boxlift_client.corrected_set import CORRECTED, write_corrected_set
 
     folder = labels / CORRECTED if out is None else out
-    print(write_corrected_set(labels, folder, store, name).text())
+    print(write_corrected_set(labels, folder, store, name, rescore=rescore).text())
     print(f"Labels are in {folder / 'data'}, details in {folder / 'details'}.")

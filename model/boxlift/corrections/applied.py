@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from boxlift.corrections.correction import Correction, Verdict
 from boxlift.formats.details import (
@@ -10,23 +10,31 @@ from boxlift.formats.details import (
     ObjectDetails,
     ReviewDetails,
     with_reviewed_box,
+    with_score,
     without_box,
 )
 
 
-def corrected(details: FrameDetails, corrections: Mapping[int, Correction]) -> FrameDetails:
+def corrected(
+    details: FrameDetails,
+    corrections: Mapping[int, Correction],
+    rescore: Callable[[float], float] | None = None,
+) -> FrameDetails:
     """A frame's details with what people said about its objects, by their index.
 
     Accepted boxes stay and corrected ones are replaced; both are sure then, with a score of 1. Rejected ones
-    go. Objects that nobody spoke of, and details themselves, stay as they are.
+    go. Objects that nobody spoke of, and details themselves, stay as they are, but for their score where
+    there is a `rescore`.
     """
-    objects = tuple(_corrected(item, corrections.get(item.index)) for item in details.objects)
+    objects = tuple(_corrected(item, corrections.get(item.index), rescore) for item in details.objects)
     return details.model_copy(update={"objects": objects})
 
 
-def _corrected(item: ObjectDetails, correction: Correction | None) -> ObjectDetails:
+def _corrected(
+    item: ObjectDetails, correction: Correction | None, rescore: Callable[[float], float] | None
+) -> ObjectDetails:
     if correction is None or correction.opinion.verdict is Verdict.OPEN:
-        return item
+        return item if rescore is None or item.box is None else with_score(item, rescore(item.score))
     opinion = correction.opinion
     review = ReviewDetails(
         verdict=opinion.verdict.value,

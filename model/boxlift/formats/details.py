@@ -319,6 +319,12 @@ def with_reviewed_box(
     return item.model_copy(update=changes)
 
 
+def with_score(item: ObjectDetails, score: float) -> ObjectDetails:
+    """An object whose box is trusted otherwise."""
+    kitti = None if item.kitti is None else item.kitti.model_copy(update={"score": _rounded(score)})
+    return item.model_copy(update={"score": _rounded(score), "kitti": kitti})
+
+
 def without_box(item: ObjectDetails, review: ReviewDetails) -> ObjectDetails:
     """An object whose box a reviewer rejected."""
     rejected = item.rejected
