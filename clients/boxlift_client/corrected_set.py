@@ -69,7 +69,8 @@ def write_corrected_set(
     """Write to `out` the labels of `label_set` with the corrections laid over them, and their history.
 
     url: the store, where it is not beside the labels; name: what the label set is called there. rescore:
-    boxes that nobody judged get their score by what the verdicts say of scores. OUT has the manifest of LABELS, and corrections.jsonl: everything that was ever said. LABELS stays as it is.
+    boxes that nobody judged get their score by what the verdicts say of scores. OUT has the manifest of
+    LABELS, and corrections.jsonl: everything that was ever said. LABELS stays as it is.
     Raises DatasetError, LabelFormatError, OptionsError, OSError.
     """
     manifest = read_manifest(label_set)

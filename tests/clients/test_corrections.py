@@ -68,12 +68,8 @@ def test_corrections_are_laid_over_a_copy(labels: Path, boxlift: Boxlift) -> Non
 
 
 def test_scores_are_calibrated_anew_on_request(labels: Path, boxlift: Boxlift) -> None:
-    boxes = [
-        (frame.frame, item)
-        for frame in read_frames_of(labels)
-        for item in frame.objects
-        if item.box is not None
-    ]
+    boxes = [(each.frame, item) for each in read_frames_of(labels) for item in each.objects if item.box]
+    boxes.sort(key=lambda each: each[1].score)
     *judged, (frame, left) = boxes
     assert len(judged) >= 20
     store = CorrectionStore(default_url(labels), "labels")
