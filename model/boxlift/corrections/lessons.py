@@ -19,7 +19,8 @@ _RIGHT_IOU = 0.5
 _LEAST_BOXES = 20
 # Standard deviations of slope and offset around "the scores are right": a few verdicts move little.
 _PRIOR_SLOPE, _PRIOR_OFFSET = 0.5, 1.0
-_NEWTON_STEPS = 50
+_NEWTON_STEPS = 100
+_SMALLEST_STEP = 1e-9
 _EXTREME = 1e-4
 
 
@@ -84,7 +85,7 @@ def shares_by_score(lessons: Sequence[Lesson]) -> list[Share]:
 
 
 def recalibrated(lessons: Sequence[Lesson]) -> Recalibration:
-    """The calibration that verdicts and the score as it is together speak for (MAP, Newton's method).
+    """The calibration that verdicts and the score as it is together speak for (MAP, damped Newton steps).
 
     Platt scaling of the score's logit (Platt, 1999), with a normal prior around slope 1 and offset 0.
     Raises OptionsError with fewer than 20 judged boxes, or where all were right or all wrong.
@@ -100,14 +101,23 @@ def recalibrated(lessons: Sequence[Lesson]) -> Recalibration:
     target = np.array([each.right for each in lessons], dtype=np.float64)
     prior = np.array([1.0, 0.0])
     precision = np.diag([1 / _PRIOR_SLOPE**2, 1 / _PRIOR_OFFSET**2])
+    signs = 2 * target - 1
+
+    def loss(weights: Floats) -> float:
+        off = weights - prior
+        return float(np.logaddexp(0, -signs * (features @ weights)).sum() + off @ precision @ off / 2)
+
     weights = prior.copy()
     for _ in range(_NEWTON_STEPS):
         said = _logistic(features @ weights)
         gradient = features.T @ (said - target) + precision @ (weights - prior)
         curvature = (features * (said * (1 - said))[:, None]).T @ features + precision
         step = np.linalg.solve(curvature, gradient)
+        # Where logits are large, a whole step may lead far beyond the minimum.
+        while loss(weights - step) > loss(weights) and float(np.abs(step).max()) > _SMALLEST_STEP:
+            step = step / 2
         weights = weights - step
-        if float(np.abs(step).max()) < 1e-9:
+        if float(np.abs(step).max()) <= _SMALLEST_STEP:
             break
     return Recalibration(float(weights[0]), float(weights[1]))
 

@@ -72,6 +72,13 @@ def test_scores_that_promise_too_much_come_down_in_order() -> None:
     assert 0 < found(0.0) < found(0.5) < found(0.9) < found(1.0) < 1
 
 
+def test_sure_boxes_of_which_half_are_wrong_are_sure_no_more() -> None:
+    """Their logits are so large that whole steps of Newton's would run away."""
+    scores = [0.25, 0.5, 0.8] + [0.99] * 10 + [0.998] * 12
+    found = recalibrated([Lesson(score, (), at % 2 == 0) for at, score in enumerate(scores)])
+    assert found(0.998) == pytest.approx(0.5, abs=0.1)
+
+
 def test_few_verdicts_move_little_and_honest_scores_stay() -> None:
     lessons = [Lesson(0.7, (), at % 10 < 7) for at in range(20)]
     assert recalibrated(lessons)(0.7) == pytest.approx(0.7, abs=0.02)
