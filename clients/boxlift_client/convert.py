@@ -9,16 +9,14 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from boxlift.datasets import FrameSource, open_source
-from boxlift.errors import InputError, OptionsError
+from boxlift.errors import OptionsError
 from boxlift.formats import (
     argoverse2_boxes,
     kitti_label,
@@ -33,8 +31,8 @@ from boxlift.formats.kitti_tracks import NO_TRACK, TrackedObject
 from boxlift.formats.supervisely import SuperviselyProject
 from boxlift.label_sets.index import LabelSetIndex, read_frames_of, sweep_of
 from boxlift.storage import write_whole
-from boxlift.sweep import CameraImage, SweepLabels, SweepSensors
-from boxlift_client.job import view_of
+from boxlift.sweep import SweepLabels, SweepSensors
+from boxlift_client.sensors import sensors_of
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
@@ -91,44 +89,20 @@ def convert(
     index = LabelSetIndex(label_set)
     if to is Format.KITTI_TRACKING:
         return _to_kitti_tracking(index, out, min_score, on_progress)
-    sensors = None if source is None else _Sensors(open_source(source))
-    conversion = _Conversion(index, min_score, sensors, on_progress)
+    opened = None if source is None else open_source(source)
+    conversion = _Conversion(index, min_score, opened, on_progress)
     _WRITERS[to](conversion, out)
     return conversion.done
-
-
-class _Sensors:
-    """Points and images of sweeps."""
-
-    def __init__(self, source: FrameSource) -> None:
-        self._source = source
-
-    def of(self, frames: Iterable[str]) -> SweepSensors | None:
-        """Those of a sweep from its frames; None where a file of it cannot be read."""
-        points, images = None, []
-        try:
-            for name in frames:
-                frame = self._source.load(name, with_image=True)
-                view = view_of(frame)
-                ego_SE3_velo = view.ego_SE3_cam @ frame.calibration.cam_SE3_velo
-                xyz = frame.points_velo[:, :3] @ ego_SE3_velo[:3, :3].T + ego_SE3_velo[:3, 3]
-                points = xyz.astype(np.float32)
-                if frame.image is not None:
-                    image_P_cam = frame.calibration.image_P_cam
-                    images.append(CameraImage(view.camera, view.ego_SE3_cam, image_P_cam, frame.image))
-        except InputError:
-            return None
-        return None if points is None else SweepSensors(points, tuple(images))
 
 
 class _Conversion:
     """The sweeps of a label set on their way into files, counted."""
 
     def __init__(
-        self, index: LabelSetIndex, min_score: float, sensors: _Sensors | None, on_progress: OnProgress
+        self, index: LabelSetIndex, min_score: float, source: FrameSource | None, on_progress: OnProgress
     ) -> None:
         self._index, self._min_score = index, min_score
-        self._sensors, self._on_progress = sensors, on_progress
+        self._source, self._on_progress = source, on_progress
         self.done = Converted()
 
     def sweeps(self) -> Iterator[SweepLabels]:
@@ -140,8 +114,10 @@ class _Conversion:
         for entry in self._index.sweeps:
             labels = sweep_of(self._index.label_set, entry.frames)
             kept = tuple(each for each in labels.objects if each.score >= self._min_score)
-            sensors = self._sensors.of(entry.frames) if wanted and self._sensors is not None else None
-            self.done.without_sensors += wanted and self._sensors is not None and sensors is None
+            sensors = None
+            if wanted and self._source is not None:
+                sensors = sensors_of(self._source, entry.frames)
+                self.done.without_sensors += sensors is None
             self.done.units += 1
             yield replace(labels, objects=kept), sensors
             self._on_progress(self.done.units, len(self._index.sweeps))

@@ -12,10 +12,13 @@ from boxlift.datasets import load_objects, load_prompts, open_source
 from boxlift.drawing import draw_frame, draw_objects
 from boxlift.errors import DatasetError, MissingExtraError, OptionsError
 from boxlift.formats import kitti_label
+from boxlift.formats.ego_boxes import sweep_labels_of_details
 from boxlift.formats.kitti_label import KittiObject
 from boxlift.label_sets.files import data_path, details_path, read_objects
+from boxlift.label_sets.index import read_details
 from boxlift.settings import LabellerSettings
 from boxlift_client.job import DETECTOR
+from boxlift_client.sensors import sensors_of
 
 Picture = NDArray[np.uint8]
 
@@ -70,6 +73,21 @@ def draw_new_labels(
     else:
         frame = replace(frame, prompts=load_prompts(prompts, folder, name))
     return draw_frame(frame, Labeller(settings).label(frame), truth)
+
+
+def write_frame_recording(path: Path, source: Path, name: str, pred: Path) -> None:
+    """One frame with the boxes of the label set `pred` as a recording of Rerun, with points and image.
+
+    Raises InputError where a file is missing or cannot be read, MissingExtraError without rerun-sdk.
+    """
+    if path.suffix != ".rrd":
+        raise OptionsError("out", f"{path.name!r} is no recording's name.", "Give a name that ends in .rrd.")
+    from boxlift.formats.rerun_recording import write_recording
+
+    details = read_details(details_path(pred, name))
+    sensors = sensors_of(open_source(source), [name])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_recording([(sweep_labels_of_details(details), sensors)], path, name)
 
 
 def write_picture(path: Path, picture: Picture) -> None:

@@ -1,12 +1,14 @@
-"""`boxlift show`: one frame as a picture."""
+"""`boxlift show`: one frame as a picture or a recording, or the newest of a run."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from boxlift.errors import OptionsError
 from boxlift.formats.size_priors import read_size_priors
 from boxlift.settings import DEFAULT_PRESET, PRESETS, preset
 from boxlift_client.cli.detection import DetectorOption, MinScoreOption, with_detection
@@ -16,10 +18,18 @@ def show(
     source: Annotated[
         Path, typer.Argument(metavar="SOURCE", help="Dataset root or folder.", show_default=False)
     ],
-    frame: Annotated[
-        str, typer.Argument(metavar="FRAME", help="Name of the frame (its file's stem).", show_default=False)
+    out: Annotated[
+        Path,
+        typer.Option(metavar="FILE", help="Picture to write (.png), or .rrd.", show_default=False),
     ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Picture to write (.png).", show_default=False)],
+    frame: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="FRAME",
+            help="Name of the frame (its stem); none with --watch.",
+            show_default=False,
+        ),
+    ] = None,
     pred: Annotated[
         Path | None, typer.Option(metavar="DIR", help="What `boxlift label` wrote: draw its boxes.")
     ] = None,
@@ -45,10 +55,41 @@ def show(
         Path | None,
         typer.Option(metavar="FILE", help="TOML file with sizes per class to label --prompts with."),
     ] = None,
+    rerun: Annotated[
+        bool,
+        typer.Option(
+            "--rerun", help="Write a recording of Rerun (FILE.rrd): points, image and the boxes of --pred."
+        ),
+    ] = False,
+    watch: Annotated[
+        bool,
+        typer.Option(
+            "--watch", help="Draw the newest frame of --pred again and again while a run writes it."
+        ),
+    ] = False,
 ) -> None:
     """Draw one frame: the image, and below it the bird's-eye view, with points, prompts, boxes, truth."""
-    from boxlift_client.pictures import draw_labels_on_disk, draw_new_labels, write_picture
+    from boxlift_client.pictures import (
+        draw_labels_on_disk,
+        draw_new_labels,
+        write_frame_recording,
+        write_picture,
+    )
 
+    if (rerun or watch) and pred is None:
+        raise OptionsError("pred", "there are no labels to show.", "Give --pred LABELS.")
+    if watch and pred is not None:
+        from boxlift_client.watching import watch_label_set
+
+        with suppress(KeyboardInterrupt):
+            watch_label_set(source, pred, out, gt, on_drawn=print)
+        return
+    if frame is None:
+        raise OptionsError("FRAME", "no frame is named.", "Name one, or give --watch.")
+    if rerun and pred is not None:
+        write_frame_recording(out, source, frame, pred)
+        print(out)
+        return
     if pred is not None:
         picture = draw_labels_on_disk(source, frame, pred, gt)
     else:
