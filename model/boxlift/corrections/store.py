@@ -16,7 +16,7 @@ from boxlift.errors import MissingExtraError, OptionsError
 
 try:
     import sqlalchemy as sql
-    from sqlalchemy.exc import ArgumentError, IntegrityError, NoSuchModuleError, OperationalError
+    from sqlalchemy.exc import ArgumentError, DatabaseError, IntegrityError, NoSuchModuleError
 except ModuleNotFoundError:
     raise MissingExtraError("sqlalchemy", "review") from None
 
@@ -59,10 +59,11 @@ class CorrectionStore:
             if self._engine.dialect.name == "sqlite":
                 sql.event.listen(self._engine, "connect", _durable)
             _METADATA.create_all(self._engine)
-        except (ArgumentError, NoSuchModuleError, OperationalError, ModuleNotFoundError) as error:
+        except (ArgumentError, NoSuchModuleError, DatabaseError, ModuleNotFoundError) as error:
             # Without the URL: it may hold a password.
             problem = f"the database cannot be opened ({str(error).splitlines()[0]:.200})."
-            raise OptionsError("corrections", problem, "Give a URL as SQLAlchemy takes it.") from None
+            remedy = "Give a URL as SQLAlchemy takes it, of a place that can be written to."
+            raise OptionsError("corrections", problem, remedy) from None
 
     def add(
         self,

@@ -48,7 +48,13 @@ const actions = actionsOf(
   review,
   (step) =>
     guarded(async () => {
-      const entry = review.nextEntry(step);
+      let entry = review.nextEntry(step);
+      if (!entry && step > 0) {
+        // The page has the first thousand: those that are open now may be others.
+        await review.flush();
+        await review.refreshQueue();
+        entry = review.nextOpen();
+      }
       if (entry) await openFrame(entry.frame, entry.index);
       else if (step > 0) say("The queue has nothing more that is open.");
     }),
@@ -86,6 +92,22 @@ async function guarded(work: () => Promise<void>): Promise<void> {
     await work();
   } catch (error) {
     say(error instanceof Error ? error.message : String(error), true);
+  }
+}
+
+let lost = false;
+
+/** Hear what others did; and say when the service is gone, and when it is back. */
+async function beat(): Promise<void> {
+  try {
+    await review.heartbeat();
+    const queue = review.queue;
+    if (queue && queue.frames_read < queue.frames) await review.refreshQueue();
+    if (lost && review.isSaved) say("The service answers again.");
+    lost = false;
+  } catch {
+    lost = true;
+    if (review.isSaved) say("The service does not answer.", true);
   }
 }
 
@@ -152,7 +174,8 @@ async function takeFiles(files: File[]): Promise<void> {
   const { label_set, frame } = await sendFrame(files);
   await listSets();
   await openSet(label_set);
-  await openFrame(frame, -1);
+  const first = review.queue?.entries.find((each) => each.frame === frame);
+  await openFrame(frame, first?.index ?? -1);
   const boxes = review.objects.filter((each) => each.box).length;
   say(`${boxes} of ${review.objects.length} objects have a box. They are kept in ${label_set}.`);
 }
@@ -227,11 +250,7 @@ window.addEventListener("beforeunload", (event) => {
 });
 window.setInterval(() => {
   if (document.hidden || !review.labelSet) return;
-  void guarded(async () => {
-    await review.heartbeat();
-    const queue = review.queue;
-    if (queue && queue.frames_read < queue.frames) await review.refreshQueue();
-  });
+  void beat();
 }, HEARTBEAT_MS);
 
 // For measurements of the page.

@@ -137,6 +137,14 @@ export class Review {
     return null;
   }
 
+  /** The first of the queue that is open. */
+  nextOpen(): QueueEntry | null {
+    const taken = new Set(this.others.map((each) => each.frame));
+    const open = (each: QueueEntry): boolean =>
+      (this.said.get(`${each.frame}/${each.index}`)?.opinion.verdict ?? "open") === "open";
+    return this.queue?.entries.find((each) => open(each) && !taken.has(each.frame)) ?? null;
+  }
+
   /** Say something about the selected object; edits that follow each other closely are saved as one. */
   say(opinion: Opinion, { soon = false } = {}): void {
     const key = this.key(this.selected);

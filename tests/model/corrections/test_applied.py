@@ -72,7 +72,7 @@ def test_a_box_that_may_be_right_or_wrong_is_worth_most(details: FrameDetails) -
     (item,) = details.objects
 
     def worth(right: float, *flags: str) -> float:
-        changes = {"iou_probability": (right, 0.1), "flags": flags}
+        changes = {"score": right, "flags": flags}
         return worth_a_look(item.model_copy(update=changes))
 
     assert worth(0.5) == pytest.approx(1.0)

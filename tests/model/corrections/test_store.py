@@ -118,6 +118,12 @@ def test_a_database_that_cannot_be_opened_is_named_by_the_setting(url: str) -> N
         CorrectionStore(url, "labels")
 
 
+def test_a_file_that_is_no_database_is_named_by_the_setting(tmp_path: Path) -> None:
+    (tmp_path / FILE_NAME).write_bytes(b"This was a database once." * 100)
+    with pytest.raises(OptionsError, match="file is not a database"):
+        CorrectionStore(default_url(tmp_path), "labels")
+
+
 @pytest.mark.parametrize(
     "opinion",
     [
