@@ -1,7 +1,7 @@
-// Bundles the page into the package, where it is committed: whoever installs boxlift needs no Node.js.
+// Bundles the page's code into the package, beside its document and style sheet, where it is committed: whoever installs boxlift needs no Node.js.
 // The first line holds the digest of the sources, which a test compares.
 import { createHash } from "node:crypto";
-import { copyFileSync, readdirSync, readFileSync } from "node:fs";
+import { readdirSync, readFileSync } from "node:fs";
 import { build } from "esbuild";
 
 const out = "../boxlift_service/review/static";
@@ -20,4 +20,3 @@ await build({
   charset: "ascii",
   banner: { js: `// sources ${digest.digest("hex")}` },
 });
-for (const name of readdirSync("static")) copyFileSync(`static/${name}`, `${out}/${name}`);

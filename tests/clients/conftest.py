@@ -10,6 +10,9 @@ import torch
 
 from boxlift.datasets.generated import generate, write_dataset
 from boxlift_client.cli import main
+from boxlift_client.engines.local import LocalEngine
+from boxlift_client.job import LabelJob
+from boxlift_client.runner import label_dataset
 from boxlift_client.service_process import running_service
 from clients.command import Boxlift, Ran
 
@@ -20,6 +23,14 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("dataset")
     write_dataset(root, (generate(seed) for seed in range(3)))
     return root
+
+
+@pytest.fixture(scope="session")
+def labelled(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The label set of these frames, prompts from their truth. Copy it to change it."""
+    out = tmp_path_factory.mktemp("labelled") / "labels"
+    label_dataset(LabelJob(dataset, out, "label_2"), LocalEngine(1))
+    return out
 
 
 @pytest.fixture

@@ -10,20 +10,10 @@ from boxlift.corrections.correction import Opinion, Verdict
 from boxlift.corrections.store import CorrectionStore, default_url
 from boxlift.formats.details import BoxDetails
 from boxlift.label_sets.index import read_details, read_frames_of
-from boxlift_client.engines.local import LocalEngine
-from boxlift_client.job import LabelJob
-from boxlift_client.runner import label_dataset
 from clients.command import Boxlift
 from clients.label_sets import files_of
 
 BOX = BoxDetails(center_cam=(1.0, 1.5, 20.0), length_m=4.5, width_m=1.9, height_m=1.7, rotation_y=0.3)
-
-
-@pytest.fixture(scope="module")
-def labelled(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("labelled") / "labels"
-    label_dataset(LabelJob(dataset, out, "label_2"), LocalEngine(1))
-    return out
 
 
 @pytest.fixture

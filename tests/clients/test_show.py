@@ -12,27 +12,16 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from boxlift_client.engines.local import LocalEngine
-from boxlift_client.job import LabelJob
-from boxlift_client.runner import label_dataset
 from clients.command import Boxlift
 
 
-@pytest.fixture(scope="module")
-def labels(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The label set of three generated frames."""
-    out = tmp_path_factory.mktemp("show") / "labels"
-    label_dataset(LabelJob(dataset, out, "label_2"), LocalEngine(1))
-    return out
-
-
 def test_a_recording_has_boxes_points_and_image(
-    dataset: Path, labels: Path, boxlift: Boxlift, tmp_path: Path
+    dataset: Path, labelled: Path, boxlift: Boxlift, tmp_path: Path
 ) -> None:
     from rerun.chunk import RrdReader
 
     out = tmp_path / "frame.rrd"
-    ran = boxlift("show", dataset, "000001", "--pred", labels, "--rerun", "--out", out)
+    ran = boxlift("show", dataset, "000001", "--pred", labelled, "--rerun", "--out", out)
     assert ran.status == 0, ran.err
     entities = {str(each.entity_path) for each in RrdReader(out).stream()}
     assert {"/ego/labels", "/ego/points", "/ego/image_2"} <= entities
@@ -53,12 +42,14 @@ def test_what_is_missing_is_named(
     assert (ran.status, remedy in ran.err) == (2, True)
 
 
-def test_a_recordings_name_ends_in_rrd(dataset: Path, labels: Path, boxlift: Boxlift, tmp_path: Path) -> None:
-    ran = boxlift("show", dataset, "000001", "--pred", labels, "--rerun", "--out", tmp_path / "a.png")
+def test_a_recordings_name_ends_in_rrd(
+    dataset: Path, labelled: Path, boxlift: Boxlift, tmp_path: Path
+) -> None:
+    ran = boxlift("show", dataset, "000001", "--pred", labelled, "--rerun", "--out", tmp_path / "a.png")
     assert (ran.status, "ends in .rrd" in ran.err) == (2, True)
 
 
-def test_a_run_is_watched(dataset: Path, labels: Path, tmp_path: Path) -> None:
+def test_a_run_is_watched(dataset: Path, labelled: Path, tmp_path: Path) -> None:
     """Frames come one by one; the picture is always the newest."""
     growing, out = tmp_path / "growing", tmp_path / "newest.png"
     for folder in ("data", "details"):
@@ -66,7 +57,7 @@ def test_a_run_is_watched(dataset: Path, labels: Path, tmp_path: Path) -> None:
 
     def add(name: str) -> None:
         for folder, suffix in (("details", ".json"), ("data", ".txt")):
-            shutil.copyfile(labels / folder / f"{name}{suffix}", growing / folder / f"{name}{suffix}")
+            shutil.copyfile(labelled / folder / f"{name}{suffix}", growing / folder / f"{name}{suffix}")
 
     program = str(Path(sys.executable).with_name("boxlift"))
     command = [program, "show", str(dataset), "--pred", str(growing), "--watch"]

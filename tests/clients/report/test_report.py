@@ -4,33 +4,22 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from pathlib import Path
 
-import pytest
 from playwright.sync_api import expect, sync_playwright
 
-from boxlift_client.engines.local import LocalEngine
-from boxlift_client.job import LabelJob
-from boxlift_client.runner import label_dataset
 from clients.command import Boxlift
 
 
-@pytest.fixture(scope="module")
-def labels(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The label set of the generated frames, prompts from their truth."""
-    out = tmp_path_factory.mktemp("report") / "labels"
-    label_dataset(LabelJob(dataset, out, "label_2"), LocalEngine(1))
-    return out
-
-
 def test_says_the_same_as_the_evaluator(
-    labels: Path, dataset: Path, boxlift: Boxlift, tmp_path: Path
+    labelled: Path, dataset: Path, boxlift: Boxlift, tmp_path: Path
 ) -> None:
     out = tmp_path / "report.html"
-    ran = boxlift("report", labels, "--gt", "label_2", "--out", out)
+    ran = boxlift("report", labelled, "--gt", "label_2", "--out", out)
     assert ran.status == 0, ran.err
     text = out.read_text()
-    told = boxlift("evaluate", "--gt", dataset / "training" / "label_2", "--pred", labels, "--json")
+    told = boxlift("evaluate", "--gt", dataset / "training" / "label_2", "--pred", labelled, "--json")
     groups = json.loads(told.out)["pseudo_labels"]["Car"]
     hard = next(each for each in groups if each["group"] == "hard")
     strict, loose = (f"{at['recall_3d']:.2f}" for at in hard["at_iou"])
@@ -40,9 +29,11 @@ def test_says_the_same_as_the_evaluator(
     assert text.count("data:image/jpeg;base64,") == 3
 
 
-def test_without_truth_it_shows_what_is_worth_a_look(labels: Path, boxlift: Boxlift, tmp_path: Path) -> None:
+def test_without_truth_it_shows_what_is_worth_a_look(
+    labelled: Path, boxlift: Boxlift, tmp_path: Path
+) -> None:
     out = tmp_path / "deep" / "report.html"
-    assert boxlift("report", labels, "--out", out, "--pictures", 1).status == 0
+    assert boxlift("report", labelled, "--out", out, "--pictures", 1).status == 0
     text = out.read_text()
     assert "Frames most worth a look" in text
     assert "Against the truth" not in text
@@ -50,10 +41,10 @@ def test_without_truth_it_shows_what_is_worth_a_look(labels: Path, boxlift: Boxl
 
 
 def test_opens_in_a_browser_and_asks_for_nothing(
-    labels: Path, boxlift: Boxlift, tmp_path: Path, chromium: Path
+    labelled: Path, boxlift: Boxlift, tmp_path: Path, chromium: Path
 ) -> None:
     out = tmp_path / "report.html"
-    boxlift("report", labels, "--gt", "label_2", "--out", out)
+    boxlift("report", labelled, "--gt", "label_2", "--out", out)
     assert out.stat().st_size < 10 * 2**20
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
@@ -71,24 +62,21 @@ def test_opens_in_a_browser_and_asks_for_nothing(
 
 
 def test_a_data_set_that_has_moved_costs_the_pictures_only(
-    labels: Path, boxlift: Boxlift, tmp_path: Path
+    labelled: Path, boxlift: Boxlift, tmp_path: Path
 ) -> None:
-    manifest = labels / "manifest.json"
-    text = manifest.read_text()
-    manifest.write_text(re.sub(r'"path": "[^"]*"', '"path": "/nowhere/at/all"', text))
-    try:
-        out = tmp_path / "report.html"
-        assert boxlift("report", labels, "--out", out).status == 0
-    finally:
-        manifest.write_text(text)
+    moved = shutil.copytree(labelled, tmp_path / "labels")
+    manifest = moved / "manifest.json"
+    manifest.write_text(re.sub(r'"path": "[^"]*"', '"path": "/nowhere/at/all"', manifest.read_text()))
+    out = tmp_path / "report.html"
+    assert boxlift("report", moved, "--out", out).status == 0
     assert "is not drawn" in out.read_text()
     assert "Give --source where it has moved." in out.read_text()
 
 
-def test_wrong_input_is_told(labels: Path, boxlift: Boxlift, tmp_path: Path) -> None:
+def test_wrong_input_is_told(labelled: Path, boxlift: Boxlift, tmp_path: Path) -> None:
     ran = boxlift("report", tmp_path)
     assert (ran.status, "has no manifest.json" in ran.err) == (2, True)
-    ran = boxlift("report", labels, "--gt", tmp_path / "nothing")
+    ran = boxlift("report", labelled, "--gt", tmp_path / "nothing")
     assert (ran.status, "no frame of the label set has a truth" in ran.err) == (2, True)
 
 

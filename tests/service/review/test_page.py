@@ -285,5 +285,3 @@ def test_the_built_page_is_of_these_sources() -> None:
     digest.update((page / "package-lock.json").read_bytes())
     built = _ROOT / "service" / "boxlift_service" / "review" / "static"
     assert (built / "page.js").read_text().startswith(f"// sources {digest.hexdigest()}\n")
-    for path in (page / "static").iterdir():
-        assert (built / path.name).read_bytes() == path.read_bytes(), path.name
