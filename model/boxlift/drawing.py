@@ -36,6 +36,8 @@ _TRUTH: Color = (255, 255, 255)
 _GROUND: Color = (18, 20, 24)
 _RINGS: Color = (58, 62, 70)
 _FAINT: Color = (140, 146, 156)
+_FADING_M = 20.0
+_NEAR_FAR: tuple[Color, Color] = ((255, 220, 40), (60, 90, 255))
 
 # Lines are drawn at this scale and then averaged down, which smooths them.
 _OVERSAMPLING = 2
@@ -208,11 +210,13 @@ class _ImageView:
     def draw(self, items: Sequence[_Item], owners: NDArray[np.intp], truth: Boxes3D) -> PillowImage.Image:
         canvas = _Canvas(self._background)
         visible = ~np.isnan(self._pixels[:, 0])
-        if not self._has_image:
+        if not self._has_image or not items:
+            # On an image without objects the points show whether the calibration fits.
+            near_color, far_color = _NEAR_FAR if self._has_image else (_FAINT, _RINGS)
             shown = visible & (owners < 0)
-            near = 1 - (self._depth_m[shown] / _MOST_RANGE_M).clip(0, 1)
-            shades = np.array(_RINGS) + near[:, None] * (np.array(_FAINT) - _RINGS)
-            canvas.dots(self._pixels[shown] * self._scale, shades.astype(np.uint8))
+            near = np.exp(-self._depth_m[shown] / _FADING_M)
+            shades = np.array(far_color) + near[:, None] * (np.array(near_color) - far_color)
+            canvas.dots(self._pixels[shown] * self._scale, shades.astype(np.uint8), side=1.5)
         for index, item in enumerate(items):
             canvas.dots(self._pixels[owners == index] * self._scale, item.color, side=1.5)
         for item in items:

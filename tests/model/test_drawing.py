@@ -55,7 +55,8 @@ def test_image_above_and_view_from_above_below() -> None:
     assert picture.dtype == np.uint8
     assert picture.shape[1:] == (WIDTH, 3)
     assert picture.shape[0] > HEIGHT + 300
-    np.testing.assert_array_equal(picture[:HEIGHT], image)  # no prompt: nothing is drawn on it
+    drawn = (picture[:HEIGHT] != image).any(axis=-1)
+    assert 0.001 < drawn.mean() < 0.1  # no prompt: the points are drawn on it, to see whether they fit
     assert has(picture[HEIGHT:], (58, 62, 70))  # rings
 
 
