@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -82,7 +83,8 @@ def show(
         from boxlift_client.watching import watch_label_set
 
         with suppress(KeyboardInterrupt):
-            watch_label_set(source, pred, out, gt, on_drawn=print)
+            # At once, also into a pipe: whoever reads it waits for the next frame.
+            watch_label_set(source, pred, out, gt, on_drawn=partial(print, flush=True))
         return
     if frame is None:
         raise OptionsError("FRAME", "no frame is named.", "Name one, or give --watch.")
