@@ -31,6 +31,7 @@ def test_holds_the_packages_and_nothing_else(wheel: Path) -> None:
     assert {root for root in roots if not root.endswith(".dist-info")} == set(_PACKAGES)
     assert {f"{package}/py.typed" for package in _PACKAGES} <= set(names)
     assert any(name.endswith("licenses/LICENSE") for name in names)
+    assert {"boxlift_service/review/static/page.js", "boxlift_client/report/report.html.j2"} <= set(names)
     weights = "boxlift/detector/weights"
     for file in ("nanodet_g.onnx", "README.md", "LICENSE-nanodet.txt", "LICENSE-human-models.txt"):
         assert f"{weights}/{file}" in names

@@ -31,7 +31,8 @@ class SizeRow:
 class Contents:
     """Counts over the frames that were added.
 
-    results: class -> result -> objects. scores: boxes per tenth of the score. depths: boxes per ten metres.
+    results: class -> result -> objects. sentences: of each result, the first. scores: boxes per tenth of the
+    score. depths: boxes per ten metres.
     flags: boxes per flag. warnings: frames per doubt about the calibration. worth: (worth, frame) of the
     frames most worth a look, by the sum over their objects.
     """

@@ -216,7 +216,7 @@ def _ap_table(evaluation: Evaluation) -> list[list[object]]:
         return ", ".join("-" if value is None else f"{value:.1f}" for value in values)
 
     return [
-        [category, f"{entry.iou_3d:g}", cell(entry.ap_bev), cell(entry.ap_3d), sum(entry.truths[-1:])]
+        [category, f"{entry.iou_3d:g}", cell(entry.ap_bev), cell(entry.ap_3d), entry.truths[-1]]
         for category, entries in evaluation.results.items()
         for entry in entries
         if entry.recall_points == "R40" and entry.truths[-1]

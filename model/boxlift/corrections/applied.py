@@ -5,14 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from boxlift.corrections.correction import Correction, Verdict
-from boxlift.formats.details import (
-    FrameDetails,
-    ObjectDetails,
-    ReviewDetails,
-    with_reviewed_box,
-    with_score,
-    without_box,
-)
+from boxlift.formats.changed_details import with_reviewed_box, with_score, without_box
+from boxlift.formats.details import FrameDetails, ObjectDetails, ReviewDetails
 
 
 def corrected(

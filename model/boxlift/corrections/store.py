@@ -6,7 +6,7 @@ known, and the unique number of a revision is all that keeps two people from ove
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -90,30 +90,24 @@ class CorrectionStore:
             "made_at": datetime.now(UTC),
             "request_id": request_id,
         }
-        try:
-            with self._engine.begin() as connection:
-                before = self._of_object(frame, object_index).with_only_columns(
-                    sql.func.coalesce(sql.func.max(_TABLE.c.revision), 0)
-                )
-                if connection.scalar(before.order_by(None)) != based_on:
-                    raise CorrectionConflictError(None)
-                sequence = connection.execute(sql.insert(_TABLE).values(row)).inserted_primary_key
-        except (IntegrityError, CorrectionConflictError):
-            return self._kept_before(frame, object_index, request_id)
-        assert sequence is not None
-        return _correction({**row, "sequence": sequence[0]})
+        last = self._of_object(frame, object_index).order_by(None)
+        last = last.with_only_columns(sql.func.coalesce(sql.func.max(_TABLE.c.revision), 0))
+        # Whoever was faster by less than this takes the number of the revision.
+        with suppress(IntegrityError), self._engine.begin() as connection:
+            if connection.scalar(last) == based_on:
+                key = connection.execute(sql.insert(_TABLE).values(row)).inserted_primary_key
+                assert key is not None
+                return _correction({**row, "sequence": key[0]})
+        return self._kept_before(frame, object_index, request_id)
 
     def latest(self, frame: str | None = None, since: int = 0) -> list[Correction]:
         """The latest correction of every object (of one frame), in their order; only those after `since`."""
-        newest = (
-            sql.select(sql.func.max(_TABLE.c.sequence))
-            .where(_TABLE.c.label_set == self._name)
-            .group_by(_TABLE.c.frame, _TABLE.c.object_index)
-        )
-        wanted = sql.select(_TABLE).where(_TABLE.c.sequence.in_(newest), _TABLE.c.sequence > since)
+        wanted = sql.select(_TABLE).where(_TABLE.c.label_set == self._name, _TABLE.c.sequence > since)
         if frame is not None:
             wanted = wanted.where(_TABLE.c.frame == frame)
-        return self._read(wanted.order_by(_TABLE.c.sequence))
+        said = self._read(wanted.order_by(_TABLE.c.sequence))
+        newest = {(each.frame, each.object_index): each for each in said}
+        return sorted(newest.values(), key=lambda each: each.sequence)
 
     def history(self) -> list[Correction]:
         """Everything that was ever said, in its order."""
@@ -146,11 +140,6 @@ class CorrectionStore:
     def _read(self, wanted: sql.Select[Any]) -> list[Correction]:
         with self._engine.connect() as connection:
             return [_correction(dict(row)) for row in connection.execute(wanted).mappings()]
-
-
-def latest_by_object(corrections: Sequence[Correction]) -> dict[tuple[str, int], Correction]:
-    """(frame, object index) -> the last of its corrections, which are given in their order."""
-    return {(each.frame, each.object_index): each for each in corrections}
 
 
 def _correction(row: dict[str, Any]) -> Correction:

@@ -15,7 +15,7 @@ from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 from boxlift.boxes import Boxes3D
 from boxlift.formats import kitti_label
 from boxlift.formats.kitti_label import KittiObject, object_of
-from boxlift.frame import FrameLabels, Hypothesis, LossTerms, ObjectLabel, PointCounts, Result
+from boxlift.frame import FrameLabels, Hypothesis, LossTerms, ObjectLabel, PointCounts
 from boxlift.sweep import SweepView
 
 
@@ -223,21 +223,21 @@ def kitti_object_of(line: KittiDetails) -> KittiObject:
 def object_details_of(label: ObjectLabel) -> ObjectDetails:
     """One prompt's label -> its details, rounded."""
     written = object_of(label)
-    x1, y1, x2, y2 = (_rounded(edge, 2) for edge in label.prompt.box_px)
+    x1, y1, x2, y2 = (rounded(edge, 2) for edge in label.prompt.box_px)
     return ObjectDetails(
         index=label.index,
         category=label.prompt.category,
         prompt_box_px=(x1, y1, x2, y2),
-        prompt_score=_rounded(label.prompt.score),
+        prompt_score=rounded(label.prompt.score),
         result=label.result.name,
         sentence=label.sentence,
-        score=_rounded(label.score),
+        score=rounded(label.score),
         iou_probability=_probabilities(label),
-        depth_spread=None if label.depth_spread is None else _rounded(label.depth_spread),
+        depth_spread=None if label.depth_spread is None else rounded(label.depth_spread),
         flags=label.flags,
-        box=None if label.box is None else _box(label.box),
-        kitti=None if written is None else _kitti(written),
-        losses=None if label.losses is None else _losses(label.losses),
+        box=None if label.box is None else box_details_of(label.box),
+        kitti=None if written is None else kitti_details_of(written),
+        losses=None if label.losses is None else loss_details_of(label.losses),
         points=_points(label.points),
         rejected=tuple(_rejected(hypothesis) for hypothesis in label.rejected),
     )
@@ -254,158 +254,48 @@ def boxes3d_of_details(boxes: Sequence[BoxDetails]) -> Boxes3D:
     )
 
 
-def with_box(
-    item: ObjectDetails,
-    category: str,
-    box: Boxes3D,
-    score: float,
-    flags: tuple[str, ...],
-    track: TrackDetails,
-    result: Result,
-    losses: LossTerms | None,
-) -> ObjectDetails:
-    """An object with the class, the box and the losses of its track, and its own box as a rejected one."""
-    rejected = item.rejected
-    if item.box is not None:
-        own = RejectedDetails(reason="What this frame alone says.", box=item.box, losses=item.losses)
-        rejected = (own, *rejected)
-    written = kitti_label.from_box3d(category, item.prompt_box_px, box, score)
-    changes: dict[str, object] = {
-        "category": category,
-        "result": result.name,
-        "sentence": result.value,
-        "score": _rounded(score),
-        "iou_probability": None,
-        "flags": flags,
-        "box": _box(box),
-        "kitti": _kitti(written),
-        "losses": None if losses is None else _losses(losses),
-        "rejected": rejected,
-        "track": track,
-    }
-    return item.model_copy(update=changes)
-
-
-def with_own_box(
-    item: ObjectDetails, score: float, flags: tuple[str, ...], track: TrackDetails
-) -> ObjectDetails:
-    """An object with its own box, as its track has it."""
-    kitti = None if item.kitti is None else item.kitti.model_copy(update={"score": _rounded(score)})
-    changes = {"score": _rounded(score), "flags": flags, "kitti": kitti, "track": track}
-    return item.model_copy(update=changes)
-
-
-def with_reviewed_box(
-    item: ObjectDetails, category: str, box: BoxDetails, review: ReviewDetails
-) -> ObjectDetails:
-    """An object with the box that a reviewer vouches for; the machine's, where another, as a rejected one."""
-    written = kitti_label.from_box3d(category, item.prompt_box_px, boxes3d_of_details([box]), score=1.0)
-    changes: dict[str, object] = {"score": 1.0, "kitti": _kitti(written), "review": review}
-    if (box, category) != (item.box, item.category):
-        rejected = item.rejected
-        if item.box is not None:
-            machine = RejectedDetails(reason="What the machine said.", box=item.box, losses=item.losses)
-            rejected = (machine, *rejected)
-        result = Result.CORRECTED
-        changes |= {
-            "category": category,
-            "result": result.name,
-            "sentence": result.value,
-            "iou_probability": None,
-            "box": box,
-            "losses": None,
-            "rejected": rejected,
-        }
-    return item.model_copy(update=changes)
-
-
-def with_score(item: ObjectDetails, score: float) -> ObjectDetails:
-    """An object whose box is trusted otherwise."""
-    kitti = None if item.kitti is None else item.kitti.model_copy(update={"score": _rounded(score)})
-    return item.model_copy(update={"score": _rounded(score), "kitti": kitti})
-
-
-def without_box(item: ObjectDetails, review: ReviewDetails) -> ObjectDetails:
-    """An object whose box a reviewer rejected."""
-    rejected = item.rejected
-    if item.box is not None:
-        rejected = (RejectedDetails(reason="A reviewer.", box=item.box, losses=item.losses), *rejected)
-    result = Result.REJECTED
-    changes: dict[str, object] = {
-        "result": result.name,
-        "sentence": result.value,
-        "score": 0.0,
-        "iou_probability": None,
-        "box": None,
-        "kitti": None,
-        "losses": None,
-        "rejected": rejected,
-        "review": review,
-    }
-    return item.model_copy(update=changes)
-
-
-def object_without_prompt(
-    index: int, category: str, outline_px: tuple[float, float, float, float], points: PointDetails
-) -> ObjectDetails:
-    """What stands in for a prompt where there was none: the outline of a box that other frames gave."""
-    x1, y1, x2, y2 = (_rounded(edge, 2) for edge in outline_px)
-    return ObjectDetails(
-        index=index,
-        category=category,
-        prompt_box_px=(x1, y1, x2, y2),
-        prompt_score=0.0,
-        result=Result.FILLED.name,
-        sentence=Result.FILLED.value,
-        score=0.0,
-        flags=(),
-        box=None,
-        kitti=None,
-        losses=None,
-        points=points,
-        rejected=(),
-    )
-
-
-def _rounded(value: float, decimals: int = 4) -> float:
+def rounded(value: float, decimals: int = 4) -> float:
     """A plain Python float without a negative zero."""
     return round(float(value), decimals) + 0.0
 
 
-def _box(box: Boxes3D) -> BoxDetails:
-    x, y, z = (_rounded(axis) for axis in box.center_cam[0])
+def box_details_of(box: Boxes3D) -> BoxDetails:
+    """One box, rounded."""
+    x, y, z = (rounded(axis) for axis in box.center_cam[0])
     return BoxDetails(
         center_cam=(x, y, z),
-        length_m=_rounded(box.length_m[0]),
-        width_m=_rounded(box.width_m[0]),
-        height_m=_rounded(box.height_m[0]),
-        rotation_y=_rounded(box.rotation_y[0]),
+        length_m=rounded(box.length_m[0]),
+        width_m=rounded(box.width_m[0]),
+        height_m=rounded(box.height_m[0]),
+        rotation_y=rounded(box.rotation_y[0]),
     )
 
 
-def _kitti(written: KittiObject) -> KittiDetails:
-    x1, y1, x2, y2 = (_rounded(edge, 2) for edge in written.box_px)
-    height, width, length = (_rounded(side, 2) for side in written.size_hwl_m)
-    x, y, z = (_rounded(axis, 2) for axis in written.bottom_center_cam)
+def kitti_details_of(written: KittiObject) -> KittiDetails:
+    """A KITTI line, rounded as KITTI rounds."""
+    x1, y1, x2, y2 = (rounded(edge, 2) for edge in written.box_px)
+    height, width, length = (rounded(side, 2) for side in written.size_hwl_m)
+    x, y, z = (rounded(axis, 2) for axis in written.bottom_center_cam)
     return KittiDetails(
         type=written.category,
         truncated=written.truncated,
         occluded=written.occluded,
-        alpha=_rounded(written.alpha, 2),
+        alpha=rounded(written.alpha, 2),
         bbox=(x1, y1, x2, y2),
         dimensions=(height, width, length),
         location=(x, y, z),
-        rotation_y=_rounded(written.rotation_y, 2),
-        score=_rounded(written.score or 0.0),
+        rotation_y=rounded(written.rotation_y, 2),
+        score=rounded(written.score or 0.0),
     )
 
 
-def _losses(losses: LossTerms) -> LossDetails:
+def loss_details_of(losses: LossTerms) -> LossDetails:
+    """Loss terms, rounded."""
     return LossDetails(
-        geometric=_rounded(losses.geometric),
-        ray_tracing=_rounded(losses.ray_tracing),
-        center=_rounded(losses.center),
-        total=_rounded(losses.total),
+        geometric=rounded(losses.geometric),
+        ray_tracing=rounded(losses.ray_tracing),
+        center=rounded(losses.center),
+        total=rounded(losses.total),
     )
 
 
@@ -413,7 +303,7 @@ def _probabilities(label: ObjectLabel) -> tuple[float, float] | None:
     if label.iou_probability is None:
         return None
     loose, strict = label.iou_probability
-    return _rounded(loose), _rounded(strict)
+    return rounded(loose), rounded(strict)
 
 
 def _points(points: PointCounts) -> PointDetails:
@@ -428,6 +318,6 @@ def _points(points: PointCounts) -> PointDetails:
 def _rejected(hypothesis: Hypothesis) -> RejectedDetails:
     return RejectedDetails(
         reason=hypothesis.reason,
-        box=_box(hypothesis.box),
-        losses=None if hypothesis.losses is None else _losses(hypothesis.losses),
+        box=box_details_of(hypothesis.box),
+        losses=None if hypothesis.losses is None else loss_details_of(hypothesis.losses),
     )

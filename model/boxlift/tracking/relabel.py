@@ -6,15 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from boxlift.boxes import Boxes3D
-from boxlift.formats.details import (
-    FrameDetails,
-    ObjectDetails,
-    PointDetails,
-    TrackDetails,
-    object_without_prompt,
-    with_box,
-    with_own_box,
-)
+from boxlift.formats.changed_details import object_without_prompt, with_box, with_own_box
+from boxlift.formats.details import FrameDetails, ObjectDetails, PointDetails, TrackDetails
 from boxlift.frame import LossTerms, Result
 from boxlift.tracking.paths import Motion
 

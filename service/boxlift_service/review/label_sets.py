@@ -45,6 +45,20 @@ class OpenLabelSet:
 
     def details(self, frame: str) -> FrameDetails:
         """A frame's labels. Raises ProblemError where there is no such frame, LabelFormatError."""
+        self._require(frame)
+        return self._reader.details(frame)
+
+    def load(self, frame: str) -> Frame:
+        """A frame of the data set, with its image where it has one. Raises as details, and InputError."""
+        self._require(frame)
+        with self._lock:
+            if frame not in self._frames:
+                while len(self._frames) >= _FRAMES_KEPT:
+                    del self._frames[next(iter(self._frames))]
+                self._frames[frame] = self._reader.load(frame, (), with_image=True)
+            return self._frames[frame]
+
+    def _require(self, frame: str) -> None:
         # A name with a separator could lead out of the label set.
         if PurePath(frame).name != frame or not details_path(self.folder, frame).is_file():
             raise ProblemError(
@@ -53,17 +67,6 @@ class OpenLabelSet:
                 "GET /review/queue lists them.",
                 field="frame",
             )
-        return self._reader.details(frame)
-
-    def load(self, frame: str) -> Frame:
-        """A frame of the data set, with its image where it has one. Raises as details, and InputError."""
-        self.details(frame)
-        with self._lock:
-            if frame not in self._frames:
-                while len(self._frames) >= _FRAMES_KEPT:
-                    del self._frames[next(iter(self._frames))]
-                self._frames[frame] = self._reader.load(frame, (), with_image=True)
-            return self._frames[frame]
 
     def close(self) -> None:
         """Let go of the corrections, and stop to read."""

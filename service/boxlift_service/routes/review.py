@@ -15,7 +15,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.responses import JSONResponse, Response
 
 from boxlift.corrections.correction import Correction, CorrectionConflictError, Opinion, Verdict
-from boxlift.corrections.store import latest_by_object
 from boxlift.errors import DatasetError
 from boxlift.formats.details import FrameDetails
 from boxlift.formats.image import encoded_jpeg
@@ -131,16 +130,12 @@ def review_routes(
     async def queue(request: Request) -> JSONResponse:
         def answer() -> dict[str, Any]:
             opened = _opened(sets(), request)
-            corrections = opened.store.latest()
-            said = frozenset(
+            done = frozenset(
                 (each.frame, each.object_index)
-                for each in corrections
+                for each in opened.store.latest()
                 if each.opinion.verdict is not Verdict.OPEN
             )
-            state = opened.queue.state(_QUEUE_WAIT_S)
-            sequence = max((each.sequence for each in corrections), default=0)
-            left_out = frozenset() if request.query_params.get("reviewed") else said
-            return {**state.to_json(_MOST_ENTRIES, left_out), "sequence": sequence, "reviewed": len(said)}
+            return opened.queue.state(_QUEUE_WAIT_S).to_json(_MOST_ENTRIES, done)
 
         return JSONResponse(await asyncio.to_thread(answer))
 
@@ -149,10 +144,9 @@ def review_routes(
         def answer() -> dict[str, Any]:
             opened, name = _opened(sets(), request), _frame_name(request)
             details = opened.details(name)
-            said = latest_by_object(opened.store.latest(name))
             answer: dict[str, Any] = {
                 "details": details.model_dump(mode="json", by_alias=True),
-                "corrections": [each.model_dump(mode="json") for each in said.values()],
+                "corrections": [each.model_dump(mode="json") for each in opened.store.latest(name)],
             }
             try:
                 loaded = opened.load(name)

@@ -53,7 +53,7 @@ const actions = actionsOf(
         // The page has the first thousand: those that are open now may be others.
         await review.flush();
         await review.refreshQueue();
-        entry = review.nextOpen();
+        entry = review.firstEntry();
       }
       if (entry) await openFrame(entry.frame, entry.index);
       else if (step > 0) say("The queue has nothing more that is open.");

@@ -123,26 +123,23 @@ export class Review {
     this.changed();
   }
 
-  /** The next object that is worth a look, of frames where nobody else is. */
+  /** The next object that is worth a look, of frames where nobody else is; or the one before. */
   nextEntry(step: 1 | -1): QueueEntry | null {
     const entries = this.queue?.entries ?? [];
     const here = entries.findIndex((each) => each.frame === this.frame?.name && each.index === this.selected);
-    const taken = new Set(this.others.map((each) => each.frame));
-    for (let at = here + step; at >= 0 && at < entries.length; at += step) {
-      const entry = entries[at]!;
-      const verdict = this.said.get(`${entry.frame}/${entry.index}`)?.opinion.verdict ?? "open";
-      if (step < 0 || (verdict === "open" && (!taken.has(entry.frame) || entry.frame === this.frame?.name)))
-        return entry;
-    }
-    return null;
+    if (step < 0) return entries[here - 1] ?? null;
+    return entries.slice(here + 1).find((each) => this.isOpenToMe(each)) ?? null;
   }
 
-  /** The first of the queue that is open. */
-  nextOpen(): QueueEntry | null {
-    const taken = new Set(this.others.map((each) => each.frame));
-    const open = (each: QueueEntry): boolean =>
-      (this.said.get(`${each.frame}/${each.index}`)?.opinion.verdict ?? "open") === "open";
-    return this.queue?.entries.find((each) => open(each) && !taken.has(each.frame)) ?? null;
+  /** The first of the queue. */
+  firstEntry(): QueueEntry | null {
+    return this.queue?.entries.find((each) => this.isOpenToMe(each)) ?? null;
+  }
+
+  private isOpenToMe({ frame, index }: QueueEntry): boolean {
+    const verdict = this.said.get(`${frame}/${index}`)?.opinion.verdict ?? "open";
+    const isTaken = frame !== this.frame?.name && this.others.some((each) => each.frame === frame);
+    return verdict === "open" && !isTaken;
   }
 
   /** Say something about the selected object; edits that follow each other closely are saved as one. */

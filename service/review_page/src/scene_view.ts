@@ -1,6 +1,6 @@
 // Points and boxes in 3D (three.js). A picture is drawn only when something changed.
 import {
-  AmbientLight, BufferAttribute, BufferGeometry, Color, LineBasicMaterial, LineSegments, PerspectiveCamera, Points,
+  BufferAttribute, BufferGeometry, Color, LineBasicMaterial, LineSegments, PerspectiveCamera, Points,
   PointsMaterial, Scene, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
@@ -31,7 +31,7 @@ export class SceneView {
   ) {
     this.renderer = new WebGLRenderer({ canvas, antialias: false, powerPreference: "high-performance" });
     this.scene.background = new Color("#121418");
-    this.scene.add(new AmbientLight(), this.points, this.boxes);
+    this.scene.add(this.points, this.boxes);
     this.points.frustumCulled = this.boxes.frustumCulled = false;
     this.camera.up.set(0, -1, 0); // y points down in the camera frame
     this.camera.position.set(0, -12, -14);

@@ -67,8 +67,6 @@ export interface Queue {
   frames_read: number;
   objects: number;
   left: number;
-  reviewed: number;
-  sequence: number;
   entries: QueueEntry[];
 }
 
