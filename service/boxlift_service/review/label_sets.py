@@ -9,7 +9,6 @@ from threading import Lock
 import numpy as np
 from numpy.typing import NDArray
 
-from boxlift.camera import Floats
 from boxlift.corrections.store import CorrectionStore, default_url
 from boxlift.errors import DatasetError
 from boxlift.formats.details import FrameDetails
@@ -76,10 +75,7 @@ class OpenLabelSet:
 
 def points_cam(frame: Frame) -> NDArray[np.float32]:
     """(N, 3) points in the rectified camera frame, metres, as a page draws them."""
-    calibration = frame.calibration
-    homogeneous: Floats = np.asarray(frame.points_velo[:, :3], dtype=np.float64)
-    rotation, offset = calibration.cam_SE3_velo[:3, :3], calibration.cam_SE3_velo[:3, 3]
-    return (homogeneous @ rotation.T + offset).astype("<f4")
+    return frame.calibration.velo_to_cam(frame.points_velo[:, :3]).astype("<f4")
 
 
 class LabelSets:
