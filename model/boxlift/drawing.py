@@ -37,7 +37,8 @@ _GROUND: Color = (18, 20, 24)
 _RINGS: Color = (58, 62, 70)
 _FAINT: Color = (140, 146, 156)
 _FADING_M = 20.0
-_NEAR_FAR: tuple[Color, Color] = ((255, 220, 40), (60, 90, 255))
+# Points on an image without objects, from far to near: seen on grey roads and on bright walls alike.
+_FAR_TO_NEAR: tuple[Color, ...] = ((50, 40, 255), (0, 190, 255), (40, 230, 60), (255, 210, 0), (255, 40, 30))
 
 # Lines are drawn at this scale and then averaged down, which smooths them.
 _OVERSAMPLING = 2
@@ -212,11 +213,13 @@ class _ImageView:
         visible = ~np.isnan(self._pixels[:, 0])
         if not self._has_image or not items:
             # On an image without objects the points show whether the calibration fits.
-            near_color, far_color = _NEAR_FAR if self._has_image else (_FAINT, _RINGS)
+            ramp = np.array(_FAR_TO_NEAR if self._has_image else (_RINGS, _FAINT), dtype=np.float64)
             shown = visible & (owners < 0)
             near = np.exp(-self._depth_m[shown] / _FADING_M)
-            shades = np.array(far_color) + near[:, None] * (np.array(near_color) - far_color)
-            canvas.dots(self._pixels[shown] * self._scale, shades.astype(np.uint8), side=1.5)
+            steps = np.linspace(0, 1, len(ramp))
+            shades = np.stack([np.interp(near, steps, channel) for channel in ramp.T], axis=1)
+            side = 2.0 if self._has_image else 1.5
+            canvas.dots(self._pixels[shown] * self._scale, shades.astype(np.uint8), side=side)
         for index, item in enumerate(items):
             canvas.dots(self._pixels[owners == index] * self._scale, item.color, side=1.5)
         for item in items:

@@ -1,7 +1,5 @@
 """docs/pictures/conventions.svg: one box seen from above in three conventions.
 
-    python scripts/conventions_picture.py > docs/pictures/conventions.svg
-
 Nothing is drawn by hand: the corners are those of one box that boxlift's own formats convert.
 """
 
@@ -22,8 +20,12 @@ _SCALE, _WIDTH, _HEIGHT = 26, 330, 400
 _INK, _BLUE, _RED, _FAINT = "#24292f", "#0969da", "#cf222e", "#8c959f"
 
 
-def picture() -> str:
-    """The SVG as text."""
+def made() -> dict[str, str | bytes]:
+    """The picture by its path below docs/."""
+    return {"pictures/conventions.svg": _picture()}
+
+
+def _picture() -> str:
     (ego,) = ego_objects(_BOX, LOOKING_AHEAD, ["Car"], [1.0])
     kitti = from_box3d("Car", (0, 0, 0, 0), _BOX)
     w, _, _, z = quaternion_of(ego.ego_SO3_object)
@@ -113,6 +115,3 @@ def _line(start: str, end: str, color: str) -> str:
 def _row(values: Sequence[float] | Floats) -> str:
     return ", ".join(f"{value:.2f}" for value in values)
 
-
-if __name__ == "__main__":
-    print(picture(), end="")
