@@ -1,6 +1,6 @@
 """Writes what docs/ does not say by hand: pages from settings, commands and routes, pictures from generated frames.
 
-    PYTHONPATH=benchmarks python scripts/make_documentation.py [--out docs]
+PYTHONPATH=benchmarks python scripts/make_documentation.py [--out docs]
 """
 
 from __future__ import annotations
@@ -10,14 +10,23 @@ from pathlib import Path
 
 import torch
 
-from documentation import calibration_mistakes, commands_page, conventions_picture, http_page, settings_page
+from documentation import (
+    calibration_mistakes,
+    commands_page,
+    conventions_picture,
+    http_page,
+    method,
+    settings_page,
+)
 
-_ROOMS = (calibration_mistakes, commands_page, conventions_picture, http_page, settings_page)
+_ROOMS = (calibration_mistakes, commands_page, conventions_picture, http_page, method, settings_page)
 
 
 def main() -> None:
     """Write every file that is made."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, default=Path(__file__).resolve().parents[1] / "docs")
     out: Path = parser.parse_args().out
     torch.set_num_threads(1)

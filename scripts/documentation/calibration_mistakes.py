@@ -153,10 +153,10 @@ def made() -> dict[str, str | bytes]:
             shown = f"![{mistake.title}]({picture})"
         said = [warning.sentence for warning in check_rig(frame, SIZE_PRIORS)]
         says = " ".join(said) if said else "nothing."
-        page.append(
-            f"## {mistake.title}\n\n{mistake.look}\n\n{shown}\n\n*boxlift says:* {says}\n\n"
-        )
-    page.append("How often mistakes are noticed on real frames: `python benchmarks/rig_check.py`, and the README.\n")
+        page.append(f"## {mistake.title}\n\n{mistake.look}\n\n{shown}\n\n*boxlift says:* {says}\n\n")
+    page.append(
+        "How often mistakes are noticed on real frames: `python benchmarks/rig_check.py`, and the README.\n"
+    )
     files["calibration-mistakes.md"] = "".join(page)
     return files
 

@@ -13,7 +13,12 @@ from documentation.schema_tables import cell
 
 def made() -> dict[str, str | bytes]:
     """The page by its path below docs/."""
-    lines = ["# Commands", "", "Made by `make docs` from the commands themselves; `boxlift COMMAND --help` says the same.", ""]
+    lines = [
+        "# Commands",
+        "",
+        "Made by `make docs` from the commands themselves; `boxlift COMMAND --help` says the same.",
+        "",
+    ]
     for name, command in _commands(typer.main.get_command(app)):
         lines += _section(name, command)
     return {"commands.md": "\n".join(lines)}
@@ -29,7 +34,9 @@ def _commands(group: Any, before: str = "boxlift") -> Iterator[tuple[str, Any]]:
 
 
 def _section(name: str, command: Any) -> list[str]:
-    parameters = [each for each in command.params if not getattr(each, "hidden", False) and each.name != "help"]
+    parameters = [
+        each for each in command.params if not getattr(each, "hidden", False) and each.name != "help"
+    ]
     arguments = [each for each in parameters if each.param_type_name == "argument"]
     usage = " ".join(_in_brackets(each) for each in arguments)
     text = " ".join((command.help or "").replace("\b", "").split())
@@ -40,7 +47,13 @@ def _section(name: str, command: Any) -> list[str]:
         is_argument = each.param_type_name == "argument"
         names = f"`{each.metavar or each.name.upper()}`" if is_argument else _names(each)
         given = each.default
-        hidden = given is None or given is False or given == () or callable(given) or repr(given) == "Sentinel.UNSET"
+        hidden = (
+            given is None
+            or given is False
+            or given == ()
+            or callable(given)
+            or repr(given) == "Sentinel.UNSET"
+        )
         default = "required" if each.required else "" if hidden else f"`{given}`"
         lines.append(f"| {names} | {default} | {cell(each.help or '')} |")
     return [*lines, ""]

@@ -114,4 +114,3 @@ def _line(start: str, end: str, color: str) -> str:
 
 def _row(values: Sequence[float] | Floats) -> str:
     return ", ".join(f"{value:.2f}" for value in values)
-

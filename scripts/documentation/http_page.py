@@ -36,9 +36,16 @@ def made() -> dict[str, str | bytes]:
 
 
 def _operation(title: str, operation: dict[str, Any], answers: list[str]) -> list[str]:
-    lines = [f"## {title}", "", f"{operation['summary']}. {cell(operation.get('description', ''))}".strip(), ""]
+    lines = [
+        f"## {title}",
+        "",
+        f"{operation['summary']}. {cell(operation.get('description', ''))}".strip(),
+        "",
+    ]
     if parameters := operation.get("parameters"):
-        properties = {each["name"]: {**each["schema"], "description": each.get("description")} for each in parameters}
+        properties = {
+            each["name"]: {**each["schema"], "description": each.get("description")} for each in parameters
+        }
         lines += ["Headers and parameters:", "", *table({"properties": properties}), ""]
     body = operation.get("requestBody", {})
     for kind, content in body.get("content", {}).items():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from pydantic import BaseModel
 
@@ -48,11 +47,9 @@ def _options_page() -> str:
         f"Presets differ in these; `{DEFAULT_PRESET}` is the default. How each part works: [the method](method.md).",
         "",
     ]
-    for part, default in LabellerSettings().model_dump().items():
-        annotation = LabellerSettings.model_fields[part].annotation
-        model = _model_of(annotation)
-        if model is not None and (isinstance(default, dict) or default is None):
-            lines += _preset_table(part, model)
+    for part in LabellerSettings.model_fields:
+        if isinstance(settings := getattr(PRESETS[DEFAULT_PRESET], part), BaseModel):
+            lines += _preset_table(part, type(settings))
     lines += [
         "**sizes**: typical size and its source per class, laid over the built-in ones, each class as a whole: "
         "[prompts and sizes](prompts-and-sizes.md).",
@@ -69,18 +66,17 @@ def _options_page() -> str:
     return "\n".join(lines)
 
 
-def _model_of(annotation: Any) -> type[BaseModel] | None:
-    """The settings that a field holds, also where it may hold none."""
-    for each in (annotation, *getattr(annotation, "__args__", ())):
-        if isinstance(each, type) and issubclass(each, BaseModel):
-            return each
-    return None
-
-
 def _preset_table(part: str, model: type[BaseModel]) -> list[str]:
     said = cell((model.__doc__ or "").split("\n\n")[0])
     presets = sorted(PRESETS, key=lambda name: name != DEFAULT_PRESET)
-    lines = [f"### {part}", "", said, "", f"| option | values | {' | '.join(presets)} | |", "|---|---|---|---|---|---|"]
+    lines = [
+        f"### {part}",
+        "",
+        said,
+        "",
+        f"| option | values | {' | '.join(presets)} | |",
+        "|---|---|---|---|---|---|",
+    ]
     parts = [getattr(PRESETS[preset], part) for preset in presets]
     for name, schema in model.model_json_schema()["properties"].items():
         values = ["" if each is None else f"`{_shown(getattr(each, name))}`" for each in parts]
