@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: setup demo test check bench serve fmt clean
+.PHONY: setup demo test check docs bench serve fmt clean
 
 setup: $(READY)
 
@@ -31,6 +31,10 @@ check: $(READY)
 	$(BIN)/lint-imports --no-logo
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
+docs: $(READY)
+	PYTHONPATH=benchmarks $(BIN)/python scripts/make_documentation.py
+	$(BIN)/jupyter execute --inplace --NotebookClient.record_timing=False docs/notebook.ipynb
+
 fmt: $(READY)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
@@ -43,6 +47,7 @@ bench: $(READY)
 	$(BIN)/python benchmarks/ablation.py
 	$(BIN)/python benchmarks/accurate.py --sequences
 	$(BIN)/python benchmarks/scaled_world.py
+	$(BIN)/python benchmarks/prompts.py
 	$(BIN)/python benchmarks/presets.py
 	$(BIN)/python benchmarks/rig_check.py
 	$(BIN)/python benchmarks/evaluator.py

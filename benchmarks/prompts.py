@@ -2,10 +2,10 @@
 
     python benchmarks/prompts.py [FOLDER]
 
-FOLDER is a dataset in KITTI object layout with label_2. Every edge of a box is moved by a share of the box's side:
-outwards (loose), inwards (tight), or at random by so much (standard deviation; seed 0). Recall counts a truth as
-found by the box of its own prompt. Beside it what sizes and masks do: a fixed size, and instance masks on generated
-frames, which have them.
+FOLDER is a dataset in KITTI object layout with label_2. Every edge of a box is moved by a share of the
+box's side: outwards (loose), inwards (tight), or at random by so much (standard deviation; seed 0). Recall
+counts a truth as found by the box of its own prompt. Beside it what sizes and masks do: a fixed size, and
+instance masks on generated frames, which have them.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Writes what docs/ does not say by hand: pages from settings, commands and routes, pictures from generated frames.
+"""Writes what the code knows of docs/: pages from settings, commands, routes, results; pictures from frames.
 
-PYTHONPATH=benchmarks python scripts/make_documentation.py [--out docs]
+make docs, or: PYTHONPATH=benchmarks python scripts/make_documentation.py [--out docs]
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from pathlib import Path
 import torch
 
 from documentation import (
+    benchmarks_page,
     calibration_mistakes,
     commands_page,
     conventions_picture,
@@ -19,7 +20,15 @@ from documentation import (
     settings_page,
 )
 
-_ROOMS = (calibration_mistakes, commands_page, conventions_picture, http_page, method, settings_page)
+_ROOMS = (
+    benchmarks_page,
+    calibration_mistakes,
+    commands_page,
+    conventions_picture,
+    http_page,
+    method,
+    settings_page,
+)
 
 
 def main() -> None:

@@ -63,6 +63,18 @@ def record_path(out: AnyPath, drive: str) -> AnyPath:
     return out / TRACKS / f"{plain}.json"
 
 
+def read_records(out: AnyPath) -> list[DriveRecord]:
+    """The records of all drives that are there, by name; none of a label set that was not tracked."""
+    records = []
+    folder = out / TRACKS
+    for name in sorted(path.name for path in folder.glob("*.json")):
+        try:
+            records.append(DriveRecord.model_validate_json(read_whole(folder / name)))
+        except ValidationError:
+            continue
+    return records
+
+
 def read_record(out: AnyPath, drive: str) -> DriveRecord | None:
     """The record of a drive; None where there is none, or one that cannot be read: it is tracked again."""
     try:

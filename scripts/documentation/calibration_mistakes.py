@@ -25,9 +25,10 @@ _RIG = replace(KITTI_RIG, lidar_turn_deg=(0.6, -1.1, 1.4), lidar_in_cam_m=(0.3, 
 _WIDTH_PX, _QUALITY = 960, 80
 _HEAD = """# Calibration mistakes, and how they look
 
-`boxlift show DATASET NAME --out NAME.png` draws the points onto the image, red near and blue far, before anything is
-labelled. These are its pictures of one generated frame, right and with the mistakes that people make. What boxlift itself
-says is what `boxlift label`, the HTTP answer and the review page say of that frame, 2D boxes given.
+`boxlift show DATASET NAME --out NAME.png` draws the points onto the image, red near and blue far, before
+anything is labelled. These are its pictures of one generated frame, right and with the mistakes that people
+make. What boxlift itself says is what `boxlift label`, the HTTP answer and the review page say of that frame,
+2D boxes given.
 
 """
 
@@ -83,8 +84,9 @@ _MISTAKES = (
     _Mistake(
         "turned",
         "The rotation is two degrees off",
-        "All points are off by the same way and the same number of pixels, near and far alike: see the poles and the "
-        "edges of the houses. At 20 m two degrees are 70 cm. The data do not tell, only the eye does.",
+        "All points are off by the same way and the same number of pixels, near and far alike: see "
+        "the poles and the edges of the houses. At 20 m two degrees are 70 cm. The data do not tell, only "
+        "the eye does.",
         _turned,
     ),
     _Mistake(
@@ -102,8 +104,8 @@ _MISTAKES = (
     _Mistake(
         "moment",
         "Image and sweep are half a second apart",
-        "Everything is too large or too small around the point that the vehicle drives to; what moves by itself is off "
-        "by another way than what stands.",
+        "Everything is too large or too small around the point that the vehicle drives to; what moves by "
+        "itself is off by another way than what stands.",
         _another_moment,
     ),
     _Mistake(

@@ -10,11 +10,11 @@ from documentation.schema_tables import cell, name_of_reference, table
 
 _HEAD = """# HTTP reference
 
-Made by `make docs` from the document that the service itself serves at `GET /openapi.json`, which has every range and
-example. {description}
+Made by `make docs` from the document that the service itself serves at `GET /openapi.json`, which has every
+range and example. {description}
 
-How batches stream: [batches](batch.md). Limits, keys and time: [settings](settings.md), [security](security.md),
-[operating](operating.md).
+How batches stream: [batches](batch.md). Limits, keys and time: [settings](settings.md),
+[security](security.md), [operating](operating.md).
 """
 
 

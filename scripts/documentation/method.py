@@ -71,7 +71,7 @@ def _subject() -> _Subject:
     objects = [each for each in found if isinstance(each, ObjectPoints)]
     # Two hypotheses of the heading per object, the chosen one first.
     problem = fit_problems(frame, PAPER)[2 * [each.prompt_index for each in objects].index(_PROMPT)]
-    truths = boxes3d_of(generated.truth[: len(frame.prompts)])
+    truths = boxes3d_of(list(generated.truth[: len(frame.prompts)]))
     return _Subject(frame, truths[_PROMPT : _PROMPT + 1], truths, points, problem)
 
 

@@ -38,21 +38,23 @@ def _options_page() -> str:
     lines = [
         "# Options of the labeller and of trainings",
         "",
-        "Made by `make docs` from the settings themselves. The labeller's go into the field `options` of a request, as JSON,",
-        'e.g. `{"preset": "paper", "fit": {"method": "adam"}}`, or into `boxlift.settings` from Python; a training\'s into its',
-        "TOML file ([training](training.md)). A name that is not here, or a value out of range, is refused with a sentence.",
+        "Made by `make docs` from the settings themselves. The labeller's go into the field `options` of a",
+        'request, as JSON, e.g. `{"preset": "paper", "fit": {"method": "adam"}}`, or into',
+        "`boxlift.settings` from Python; a training's into its TOML file ([training](training.md)). A name",
+        "that is not here, or a value out of range, is refused with a sentence.",
         "",
         "## Labeller",
         "",
-        f"Presets differ in these; `{DEFAULT_PRESET}` is the default. How each part works: [the method](method.md).",
+        f"Presets differ in these; `{DEFAULT_PRESET}` is the default. How each part works:",
+        "[the method](method.md).",
         "",
     ]
     for part in LabellerSettings.model_fields:
         if isinstance(settings := getattr(PRESETS[DEFAULT_PRESET], part), BaseModel):
             lines += _preset_table(part, type(settings))
     lines += [
-        "**sizes**: typical size and its source per class, laid over the built-in ones, each class as a whole: "
-        "[prompts and sizes](prompts-and-sizes.md).",
+        "**sizes**: typical size and its source per class, laid over the built-in ones, each class as a "
+        "whole: [prompts and sizes](prompts-and-sizes.md).",
         "",
         "## Trainings",
         "",
@@ -80,9 +82,8 @@ def _preset_table(part: str, model: type[BaseModel]) -> list[str]:
     parts = [getattr(PRESETS[preset], part) for preset in presets]
     for name, schema in model.model_json_schema()["properties"].items():
         values = ["" if each is None else f"`{_shown(getattr(each, name))}`" for each in parts]
-        lines.append(
-            f"| `{name}` | {cell(type_of(schema))} | {' | '.join(values)} | {cell(schema.get('description', ''))} |"
-        )
+        row = [f"`{name}`", cell(type_of(schema)), *values, cell(schema.get("description", ""))]
+        lines.append(f"| {' | '.join(row)} |")
     return [*lines, ""]
 
 

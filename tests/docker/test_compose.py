@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -41,11 +42,15 @@ def test_images_are_of_a_fixed_version(name: str) -> None:
     assert re.fullmatch(r"[a-z/]+:v?\d+\.\d+\.\d+", _service(name)["image"])
 
 
-def test_service_writes_nowhere_but_to_tmp() -> None:
+def test_service_writes_nowhere_but_to_tmp_and_label_sets() -> None:
     service = _service()
     assert service["read_only"] is True
     assert [mount.partition(":")[0] for mount in service["tmpfs"]] == ["/tmp"]
-    assert all(mount["read_only"] for mount in service["volumes"])
+    writable = [mount["target"] for mount in service["volumes"] if not mount.get("read_only")]
+    assert writable == ["/label-sets"]
+    assert settings_in(service["environment"]).label_sets == Path("/label-sets")
+    # The image makes the folder as the service's user: a volume takes that over.
+    assert "install -d -o 10001 -g 10001 /label-sets" in (DOCKER / "Dockerfile").read_text()
 
 
 def test_service_has_settings_that_exist_and_keys() -> None:

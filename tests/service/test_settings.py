@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -32,14 +30,6 @@ def test_a_wrong_priors_file_stops_the_start(tmp_path: Path) -> None:
 
 def test_the_service_is_closed_to_others_by_default() -> None:
     assert ServiceSettings().host == "127.0.0.1"
-
-
-def test_the_page_of_settings_is_theirs() -> None:
-    root = Path(__file__).parents[2]
-    page = subprocess.run(
-        [sys.executable, root / "scripts" / "settings_table.py"], capture_output=True, text=True, check=True
-    )
-    assert (root / "docs" / "settings.md").read_text() == page.stdout
 
 
 def test_lists_are_separated_by_commas() -> None:

@@ -22,6 +22,7 @@ from boxlift.label_sets.index import LabelSetIndex
 from boxlift.label_sets.ledger_parts import LEDGER
 from boxlift.label_sets.manifest import MANIFEST, read_manifest
 from boxlift.label_sets.reader import LabelSetReader
+from boxlift_client.drive_record import read_records
 from boxlift_client.ledger import read_rows
 from boxlift_client.report.charts import bars, reliability_diagram
 from boxlift_client.report.contents import DEPTH_STEP_M, Contents, SizeRow, Timing, timing_of
@@ -33,6 +34,7 @@ from boxlift_client.report.judgement import (
     reliability,
     worst,
 )
+from boxlift_client.report.reviews import Reviews
 
 if TYPE_CHECKING:
     from boxlift.storage import AnyPath
@@ -77,12 +79,14 @@ def write_report(
         raise DatasetError(str(label_set), f"it has no {MANIFEST}.", "Give what `boxlift label` wrote.")
     reader = LabelSetReader(label_set, manifest, source)
     contents = Contents(kept_frames=pictures)
+    reviews = Reviews.of(label_set)
     truth = None if gt is None else _Truth()
     names = LabelSetIndex.names_in(label_set)
     for at, name in enumerate(names):
         on_progress(at, len(names))
         details = reader.details(name)
         contents.add(details)
+        reviews.add(details)
         if truth is None or gt is None:
             continue
         try:
@@ -115,6 +119,12 @@ def write_report(
             (flag.replace("_", " "), count, f"{count / contents.boxes:.2f}")
             for flag, count in contents.flags.most_common()
         ],
+        "verdict_table": reviews.verdict_table(),
+        "share_table": [
+            (each.name, each.boxes, f"{each.right / each.boxes:.2f}", f"{each.mean_score:.2f}")
+            for each in reviews.shares()
+        ],
+        "drive_table": _drive_table(label_set),
         "truth": None if truth is None else _truth_values(truth),
         "pictures": drawn,
         "not_drawn": not_drawn,
@@ -161,6 +171,29 @@ def _result_table(contents: Contents) -> list[list[object]]:
     for category, counts in sorted(contents.results.items()):
         rows.append([category, *(counts[result] for result in results), counts.total()])
     return rows
+
+
+def _drive_table(label_set: AnyPath) -> list[list[object]]:
+    """A row per tracked drive: what its frames said one by one, and what the drive says."""
+
+    def metres(value: float | None) -> str:
+        return "-" if value is None else f"{value:.2f}"
+
+    return [
+        [
+            each.drive or "drive",
+            each.frames,
+            each.boxes_before,
+            each.boxes_after,
+            each.given_a_box,
+            each.filled,
+            ", ".join(f"{count} {motion}" for motion, count in sorted(each.objects.items())),
+            metres(each.place_m),
+            metres(each.length_m),
+            each.turned,
+        ]
+        for each in read_records(label_set)
+    ]
 
 
 def _charts(contents: Contents) -> list[tuple[str, str]]:

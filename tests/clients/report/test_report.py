@@ -9,6 +9,10 @@ from pathlib import Path
 
 from playwright.sync_api import expect, sync_playwright
 
+from boxlift.corrections.correction import Opinion, Verdict
+from boxlift.corrections.store import CorrectionStore, default_url
+from boxlift.label_sets.index import read_frames_of
+from boxlift_client.drive_record import DriveRecord, record_path
 from clients.command import Boxlift
 
 
@@ -93,3 +97,37 @@ def test_the_given_frames(kitti_object_root: Path, boxlift: Boxlift, tmp_path: P
     assert boxlift("report", tmp_path / "l", "--gt", "label_2", "--out", out).status == 0
     assert out.stat().st_size < 10 * 2**20
     assert "Against the truth" in out.read_text()
+
+
+def test_says_what_reviewers_and_drives_said(labelled: Path, boxlift: Boxlift, tmp_path: Path) -> None:
+    labels = tmp_path / "labels"
+    shutil.copytree(labelled, labels)
+    store = CorrectionStore(default_url(labels), labels.name)
+    details = next(iter(read_frames_of(labels)))
+    boxed = [item for item in details.objects if item.box is not None]
+    for number, verdict in enumerate((Verdict.ACCEPTED, Verdict.REJECTED)):
+        opinion = Opinion(verdict=verdict)
+        index = boxed[number].index
+        store.add(details.frame, index, opinion, based_on=0, author="Ada", request_id=f"{number}")
+    store.close()
+    (labels / "tracks").mkdir()
+    record = DriveRecord(
+        drive="0042", labels="", frames=3, boxes_before=20, boxes_after=22, given_a_box=1, filled=1,
+        objects={"static": 4, "moving": 2}, place_m=0.31, length_m=None, turned=2,
+    )  # fmt: skip
+    record_path(labels, "0042").write_text(record.text())
+    (labels / "tracks" / "broken.json").write_text("{")
+    out = tmp_path / "report.html"
+    ran = boxlift("report", labels, "--out", out)
+    assert ran.status == 0, ran.err
+    text = out.read_text()
+    assert "What reviewers said" in text
+    assert "<td>no flag</td>" in text or "<td>heading ambiguous</td>" in text
+    cells = ["0042", "3", "20", "22", "1", "1", "2 moving, 4 static", "0.31", "-", "2"]
+    assert "".join(f"<td>{cell}</td>" for cell in cells) in text
+    assert boxlift("corrections", labels).status == 0
+    assert boxlift("report", labels / "corrected", "--out", out).status == 0
+    assert "What reviewers said" in out.read_text()
+    assert boxlift("report", labelled, "--out", out).status == 0
+    assert "What reviewers said" not in out.read_text()
+    assert "<h2>Drives</h2>" not in out.read_text()
