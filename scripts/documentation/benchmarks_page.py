@@ -10,8 +10,8 @@ _HEAD = """# Benchmarks
 
 What these commands printed, with machine and commit. `python benchmarks/record.py [NAME ...]` runs them
 again, `make docs` writes this page; `make bench` runs every benchmark there is. Real frames are KITTI's,
-which are not in the repository; recall counts a truth as found by the box of its own prompt. Times were taken on
-shared machines: believe ratios within a table.
+which are not in the repository; recall counts a truth as found by the box of its own prompt. Times were taken
+on shared machines: believe ratios within a table.
 """
 
 

@@ -99,5 +99,6 @@ def _training_tables(model: type[BaseModel], known: type[BaseModel] | None = Non
     for name, each in schema["$defs"].items():
         if name not in shown and name != "LossSettings":
             yield from ("", f"### {name}", "", cell(each.get("description", "")), "")
-            yield from table(each, with_defaults=True)
+            # Its losses on points are the labeller's.
+            yield from (line.replace("#losssettings", "#loss") for line in table(each, with_defaults=True))
             yield ""
