@@ -286,7 +286,7 @@ def test_labels_without_poses_cannot_be_nuscenes_results(label_set: Path, tmp_pa
 def test_the_command(label_set: Path, tmp_path: Path, boxlift: Boxlift) -> None:
     ended = boxlift("convert", label_set, "--to", "argoverse2", "--out", tmp_path / "labels.parquet")
     assert ended.status == 0, ended.err
-    assert "boxes of 1 sweeps are in" in ended.out
+    assert "boxes of 1 sweep are in" in ended.out
 
 
 def test_the_data_set_is_the_truth_that_its_labels_are_judged_by(

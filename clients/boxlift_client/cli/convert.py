@@ -9,6 +9,7 @@ import typer
 from boxlift.storage import open_path
 from boxlift_client.convert import Converted, Format
 from boxlift_client.convert import convert as convert_label_set
+from boxlift_client.summary import counted
 
 
 def convert(
@@ -53,8 +54,8 @@ def convert(
 
 
 def _sentence(done: Converted, to: Format, out: str) -> str:
-    what = "frames" if to is Format.KITTI else "sweeps"
-    lines = [f"{done.boxes} boxes of {done.units} {what} are in {out}."]
+    what = "frame" if to is Format.KITTI else "sweep"
+    lines = [f"{done.boxes} boxes of {counted(done.units, what)} are in {out}."]
     lines += [
         f"{count} boxes of class {name} were left out: {to} has no such class."
         for name, count in sorted(done.left_out.items())

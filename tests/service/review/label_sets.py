@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 from uuid import uuid4
 
@@ -14,11 +15,13 @@ ACCEPTED = {"verdict": "accepted", "box": None, "category": None}
 REJECTED = {"verdict": "rejected", "box": None, "category": None}
 
 
-def drop(service: RunningService, frame: SmallFrame, name: str, cars: int = 1) -> dict[str, str]:
-    """Drop a small frame, with prompts for its car: label_set and frame."""
+def drop(
+    service: RunningService, frame: SmallFrame, name: str, cars: int = 1, more: Sequence[object] = ()
+) -> dict[str, str]:
+    """Drop a small frame, with prompts for its car and `more` prompts: label_set and frame."""
     import json
 
-    fields = frame.fields(image=grey_png(), prompts=json.dumps([CAR] * cars).encode())
+    fields = frame.fields(image=grey_png(), prompts=json.dumps([CAR] * cars + [*more]).encode())
     fields["points"] = (f"{name}.bin", fields["points"][1])
     answer = service.client.post("/review/frames", files=list(fields.items()))
     assert answer.status_code == 201, answer.text
