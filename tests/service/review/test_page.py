@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Page, Response, ViewportSize, expect, sync_playwright
+from playwright.sync_api import Browser, Dialog, Page, Response, ViewportSize, expect, sync_playwright
 
 from boxlift.datasets.generated import generate, write_dataset
 from boxlift_service.guards.api_keys import add_key, new_key
@@ -212,7 +212,12 @@ def test_without_the_service_nothing_is_lost(
         page.keyboard.press("r")
         expect(page.locator("#status")).to_contain_text("the service does not answer", timeout=15_000)
         asked: list[str] = []
-        page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.dismiss()))
+
+        def stay(dialog: Dialog) -> None:
+            asked.append(dialog.type)
+            dialog.dismiss()
+
+        page.on("dialog", stay)
         page.close(run_before_unload=True)
         page.wait_for_timeout(500)
         assert asked == ["beforeunload"]
