@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,15 +34,17 @@ def write_failed(out: AnyPath, ledger: LedgerState) -> None:
     write_whole(path, text.getvalue().encode())
 
 
-def remove_leftovers(out: AnyPath, done: Container[str]) -> None:
+def remove_leftovers(
+    out: AnyPath, done: Container[str], folders: Iterable[str] = ("data", "details")
+) -> None:
     """Remove the temporary files of writers that were killed (a bucket has none).
 
-    Only those of frames that are done: nobody is writing these any more, while those of other frames may
+    Only those of frames (or whatever the files of `folders` are of) that are done: nobody is writing these any more, while those of other frames may
     be another shard's.
     """
     if not isinstance(out, Path):
         return
-    for folder in ("data", "details"):
+    for folder in folders:
         for path in (out / folder).glob(".*.tmp"):
             # .STEM.txt.PID-THREAD.tmp, see boxlift.storage.write_whole
             if path.name[1:].rsplit(".", 3)[0] in done:

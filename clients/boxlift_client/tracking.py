@@ -22,7 +22,7 @@ from boxlift.label_sets.index import LabelSetIndex, SweepEntry
 from boxlift.label_sets.manifest import Manifest, read_manifest
 from boxlift.label_sets.reader import LabelSetReader
 from boxlift.settings import LabellerSettings
-from boxlift_client.drive_record import (
+from boxlift_client.drive_record import TRACKS, DriveRecord, read_record, record_path
     DriveCounts,
     DriveRecord,
     labels_digest,
@@ -159,6 +159,7 @@ def track_label_set(
     remove_leftovers(
         job.out, {name for drive in recorded for entry in drives[drive] for name in entry.frames}
     )
+    remove_leftovers(job.out, {record_path(job.out, drive).stem for drive in recorded}, [TRACKS])
     summary.records.sort(key=lambda record: record.drive)
     summary.seconds = perf_counter() - start
     return summary

@@ -136,6 +136,18 @@ def test_parts_of_the_drives_add_up(labels: Path, tracked: Path, tmp_path: Path,
     assert files_of(out) == files_of(tracked)
 
 
+def test_what_killed_writers_left_is_removed(labels: Path, tracked: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(tracked, out)
+    (record, *_) = sorted((out / "tracks").glob("*.json"))
+    left = [out / "tracks" / f".{record.name}.12-34.tmp", out / "tracks" / ".other.json.12-34.tmp"]
+    for path in left:
+        path.write_text("{")
+    subprocess.run([*BOXLIFT, "track", str(labels), "--out", str(out)], check=True, stdout=subprocess.DEVNULL)
+    # That of another drive may be another shard's, which is writing it.
+    assert [path.exists() for path in left] == [False, True]
+
+
 def test_nothing_is_lost_or_torn_where_it_is_killed(labels: Path, tracked: Path, tmp_path: Path) -> None:
     out, rng = tmp_path / "out", random.Random(3)
     command = [*BOXLIFT, "track", str(labels), "--out", str(out), "--workers", "1"]

@@ -156,77 +156,6 @@ def test_every_key_does_what_the_help_says(
     assert "Van" in {each["opinion"]["category"] for each in said if each["frame"] == "keys"}
 
 
-def test_by_mouse_by_link_and_on_a_narrow_screen(
-    browser: Browser, reviewed: RunningService, frame: SmallFrame
-) -> None:
-    other = {"class": "Pedestrian", "box": [100, 150, 160, 250]}
-    drop(reviewed, frame, "mouse", more=[other])
-    drop(reviewed, frame, "linked")
-    with page_of(browser, reviewed, frame_place("mouse")) as page:
-        title = page.locator("#object-title")
-        expect(title).to_have_text("Object 0 of mouse")
-        image = page.locator("#image").bounding_box()
-        assert image is not None
-        scale = image["width"] / WIDTH
-        page.mouse.click(image["x"] + 130 * scale, image["y"] + 200 * scale)
-        expect(title).to_have_text("Object 1 of mouse")
-        above = page.locator("#birds-eye")
-        at = above.bounding_box()
-        assert at is not None
-        middle = at["x"] + at["width"] / 2, at["y"] + at["height"] / 2
-        seen = [above.screenshot()]
-        page.mouse.move(*middle)
-        page.mouse.wheel(0, -400)
-        page.wait_for_timeout(300)
-        seen.append(above.screenshot())
-        page.mouse.down()
-        page.mouse.move(middle[0] + 60, middle[1] + 40, steps=3)
-        page.mouse.up()
-        page.wait_for_timeout(300)
-        seen.append(above.screenshot())
-        assert len(set(seen)) == 3
-        page.evaluate("place => { location.hash = place; }", frame_place("linked"))
-        expect(title).to_have_text("Object 0 of linked")
-        files = page.evaluate_handle(
-            """() => {
-                const files = new DataTransfer();
-                files.items.add(new File(["?"], "notes.doc"));
-                return files;
-            }"""
-        )
-        page.dispatch_event("main", "drop", {"dataTransfer": files})
-        expect(page.locator("#status")).to_contain_text("notes.doc is none of points")
-        page.set_viewport_size({"width": 600, "height": 800})
-        page.wait_for_timeout(300)
-        assert page.evaluate("document.documentElement.scrollWidth") <= 600
-
-
-def test_without_the_service_nothing_is_lost(
-    browser: Browser, reviewed: RunningService, frame: SmallFrame
-) -> None:
-    """What could not be sent is sent when the service is back; whoever leaves before is asked."""
-    drop(reviewed, frame, "offline")
-    with page_of(browser, reviewed, frame_place("offline")) as page:
-        expect(page.locator("#object-title")).to_have_text("Object 0 of offline")
-        page.context.set_offline(True)
-        page.keyboard.press("r")
-        expect(page.locator("#status")).to_contain_text("the service does not answer", timeout=15_000)
-        asked: list[str] = []
-
-        def stay(dialog: Dialog) -> None:
-            asked.append(dialog.type)
-            dialog.dismiss()
-
-        page.on("dialog", stay)
-        page.close(run_before_unload=True)
-        page.wait_for_timeout(500)
-        assert asked == ["beforeunload"]
-        page.context.set_offline(False)
-        wait_until_saved(page)
-    said = reviewed.client.get("/review/corrections", params={"set": "labels/dropped"}).json()
-    assert [each["opinion"]["verdict"] for each in said if each["frame"] == "offline"] == ["rejected"]
-
-
 def test_two_people_lose_nothing(browser: Browser, reviewed: RunningService, frame: SmallFrame) -> None:
     drop(reviewed, frame, "shared")
     with (
@@ -345,6 +274,77 @@ def test_corrections_that_the_page_confirmed_outlive_a_kill(
     kept = [each["request_id"] for each in said]
     assert set(confirmed) <= set(kept), f"seed {seed}"
     assert len(kept) == len(set(kept)) == 100, f"seed {seed}"
+
+
+def test_by_mouse_by_link_and_on_a_narrow_screen(
+    browser: Browser, reviewed: RunningService, frame: SmallFrame
+) -> None:
+    other = {"class": "Pedestrian", "box": [100, 150, 160, 250]}
+    drop(reviewed, frame, "mouse", more=[other])
+    drop(reviewed, frame, "linked")
+    with page_of(browser, reviewed, frame_place("mouse")) as page:
+        title = page.locator("#object-title")
+        expect(title).to_have_text("Object 0 of mouse")
+        image = page.locator("#image").bounding_box()
+        assert image is not None
+        scale = image["width"] / WIDTH
+        page.mouse.click(image["x"] + 130 * scale, image["y"] + 200 * scale)
+        expect(title).to_have_text("Object 1 of mouse")
+        above = page.locator("#birds-eye")
+        at = above.bounding_box()
+        assert at is not None
+        middle = at["x"] + at["width"] / 2, at["y"] + at["height"] / 2
+        seen = [above.screenshot()]
+        page.mouse.move(*middle)
+        page.mouse.wheel(0, -400)
+        page.wait_for_timeout(300)
+        seen.append(above.screenshot())
+        page.mouse.down()
+        page.mouse.move(middle[0] + 60, middle[1] + 40, steps=3)
+        page.mouse.up()
+        page.wait_for_timeout(300)
+        seen.append(above.screenshot())
+        assert len(set(seen)) == 3
+        page.evaluate("place => { location.hash = place; }", frame_place("linked"))
+        expect(title).to_have_text("Object 0 of linked")
+        files = page.evaluate_handle(
+            """() => {
+                const files = new DataTransfer();
+                files.items.add(new File(["?"], "notes.doc"));
+                return files;
+            }"""
+        )
+        page.dispatch_event("main", "drop", {"dataTransfer": files})
+        expect(page.locator("#status")).to_contain_text("notes.doc is none of points")
+        page.set_viewport_size({"width": 600, "height": 800})
+        page.wait_for_timeout(300)
+        assert page.evaluate("document.documentElement.scrollWidth") <= 600
+
+
+def test_without_the_service_nothing_is_lost(
+    browser: Browser, reviewed: RunningService, frame: SmallFrame
+) -> None:
+    """What could not be sent is sent when the service is back; whoever leaves before is asked."""
+    drop(reviewed, frame, "offline")
+    with page_of(browser, reviewed, frame_place("offline")) as page:
+        expect(page.locator("#object-title")).to_have_text("Object 0 of offline")
+        page.context.set_offline(True)
+        page.keyboard.press("r")
+        expect(page.locator("#status")).to_contain_text("the service does not answer", timeout=15_000)
+        asked: list[str] = []
+
+        def stay(dialog: Dialog) -> None:
+            asked.append(dialog.type)
+            dialog.dismiss()
+
+        page.on("dialog", stay)
+        page.close(run_before_unload=True)
+        page.wait_for_timeout(500)
+        assert asked == ["beforeunload"]
+        page.context.set_offline(False)
+        wait_until_saved(page)
+    said = reviewed.client.get("/review/corrections", params={"set": "labels/dropped"}).json()
+    assert [each["opinion"]["verdict"] for each in said if each["frame"] == "offline"] == ["rejected"]
 
 
 def test_the_built_page_is_of_these_sources() -> None:
