@@ -39,8 +39,8 @@ def remove_leftovers(
 ) -> None:
     """Remove the temporary files of writers that were killed (a bucket has none).
 
-    Only those of frames (or whatever the files of `folders` are of) that are done: nobody is writing these any more, while those of other frames may
-    be another shard's.
+    Only those of frames (or whatever the files of `folders` are of) that are done: nobody is writing these
+    any more, while those of others may be another shard's.
     """
     if not isinstance(out, Path):
         return

@@ -22,11 +22,13 @@ from boxlift.label_sets.index import LabelSetIndex, SweepEntry
 from boxlift.label_sets.manifest import Manifest, read_manifest
 from boxlift.label_sets.reader import LabelSetReader
 from boxlift.settings import LabellerSettings
-from boxlift_client.drive_record import TRACKS, DriveRecord, read_record, record_path
+from boxlift_client.drive_record import (
+    TRACKS,
     DriveCounts,
     DriveRecord,
     labels_digest,
     read_record,
+    record_path,
     write_record,
 )
 from boxlift_client.errors import RunStoppedError
