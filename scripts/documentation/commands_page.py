@@ -47,13 +47,7 @@ def _section(name: str, command: Any) -> list[str]:
         is_argument = each.param_type_name == "argument"
         names = f"`{each.metavar or each.name.upper()}`" if is_argument else _names(each)
         given = each.default
-        hidden = (
-            given is None
-            or given is False
-            or given == ()
-            or callable(given)
-            or repr(given) == "Sentinel.UNSET"
-        )
+        hidden = given is None or given is False
         default = "required" if each.required else "" if hidden else f"`{given}`"
         lines.append(f"| {names} | {default} | {cell(each.help or '')} |")
     return [*lines, ""]
