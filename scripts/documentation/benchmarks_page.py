@@ -18,9 +18,10 @@ on shared machines: believe ratios within a table.
 def made() -> dict[str, str | bytes]:
     """The page by its path below docs/."""
     lines = [_HEAD]
-    for name in RECORDED:
+    for name, (title, _) in RECORDED.items():
         path = RESULTS / f"{name}.json"
         if not path.is_file():
+            lines += [f"## {title}", "", f"Not recorded yet: `python benchmarks/record.py {name}`.", ""]
             continue
         result = json.loads(path.read_text(encoding="utf-8"))
         where = f"{result['machine']}, Python {result['python']}, commit {result['commit']}"
